@@ -2,7 +2,7 @@
 
 SHELL := /bin/sh
 .DEFAULT_GOAL := help
-.PHONY: help setup lock sim sim-secure check test figures docs package release bench map fuzz protocol link mutants clean
+.PHONY: help setup lock sim sim-secure check test figures docs package release bench fuzz protocol link mutants clean
 
 # Passed through to `ltv-mpc sim`; empty: the scenario's own value.
 SCENARIO =
@@ -66,12 +66,6 @@ bench: setup .venv/bench  ## tables of the README: errors over 20 seeds, latency
 	$(BIN)/python -m benchmarks.descents
 	$(BIN)/ltv-mpc profile
 	$(BIN)/python -m benchmarks.peers
-
-map: setup  ## docs/horizon.md's figures: 5,376 descents, hours; interrupted it goes on where it was
-	$(BIN)/ltv-mpc campaign benchmarks/horizon_known.toml --out runs/horizon/known
-	$(BIN)/ltv-mpc campaign benchmarks/horizon_realistic.toml --out runs/horizon/realistic
-	$(BIN)/python -m benchmarks.horizon_map --known runs/horizon/known --realistic runs/horizon/realistic \
-		--page docs/horizon.md
 
 fuzz: setup  ## a million damaged frames and files at every decoder and reader
 	$(BIN)/python -m benchmarks.fuzz --frames 1000000

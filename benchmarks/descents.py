@@ -10,14 +10,10 @@ from __future__ import annotations
 import argparse
 import json
 import statistics
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from rich.console import Console
-from rich.progress import Progress
-
-from benchmarks.lockstep_job import Job
-from services.tools.batch.executor import run_each
+from benchmarks.batch import Job, in_order
 from sim.evaluation.summary import Summary
 
 KNOWN = ("run.perfect_state=true",)
@@ -75,18 +71,13 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--out", type=Path)
     options = parser.parse_args()
-    names = [(name, seed) for name in ROWS for seed in range(options.seeds)]
-    jobs = [Job("descent", (f"run.seed={seed}", *ROWS[name])) for name, seed in names]
-    summaries: dict[str, list[Summary]] = {name: [] for name in ROWS}
-    with Progress(console=Console(stderr=True)) as progress:
-        task = progress.add_task(f"{len(jobs)} descents", total=len(jobs))
-        for place, summary in sorted_by_place(progress, task, jobs):
-            summaries[names[place][0]].append(summary)
+    jobs = [Job("descent", (f"run.seed={seed}", *row)) for row in ROWS.values() for seed in range(options.seeds)]
+    everyone = in_order(Job.summary, jobs)
+    summaries = {name: everyone[i * options.seeds : (i + 1) * options.seeds] for i, name in enumerate(ROWS)}
     table = {
         name: {column: statistics.fmean(figures(of, rows)) for column, of in COLUMNS.items()}
         for name, rows in summaries.items()
     }
-    everyone = [summary for rows in summaries.values() for summary in rows]
     worst = {what: max(figures(of, everyone)) for what, of in WORST.items()}
     print(f"| mean of {options.seeds} seeds | " + " | ".join(COLUMNS) + " |")
     print("|---|" + "---|" * len(COLUMNS))
@@ -97,16 +88,7 @@ def main() -> None:
         options.out.write_text(json.dumps({"mean": table, "largest": worst}, indent=1) + "\n")
 
 
-def sorted_by_place(progress: Progress, task: object, jobs: list[Job]) -> list[tuple[int, Summary]]:
-    """Return all results in the order of the jobs, and advance the progress bar as they arrive."""
-    results = []
-    for result in run_each(Job.summary, jobs):
-        results.append(result)
-        progress.advance(task)  # type: ignore[arg-type]
-    return sorted(results, key=lambda result: result[0])
-
-
-def figures(of: Callable[[Summary], float | None], rows: list[Summary]) -> list[float]:
+def figures(of: Callable[[Summary], float | None], rows: Sequence[Summary]) -> list[float]:
     """One figure of each run that has it."""
     return [value for value in map(of, rows) if value is not None]
 

@@ -1,53 +1,39 @@
 """Print a hash of every number that estimators, controllers and actuators produce in a set of lock-step runs.
 
-    .venv/bin/python -m benchmarks.fingerprint [--save FILE.npz] [--against FILE.npz] [--only NAME ...] [--json]
+    .venv/bin/python -m benchmarks.fingerprint [--save FILE.npz] [--against FILE.npz] [--only NAME ...]
 
 A change of the code that is meant to leave behaviour alone leaves every hash alone. Save the values with the version
 before the change, then compare on the same machine: another processor may round differently.
 
 The hash covers the float64 values of all estimates, plans and applied thrusts in the order of their role and time. It
 does not depend on how messages are encoded, on the names of their fields, or on the order in which nodes were stepped.
-``--against`` prints for each role the largest difference and the time of the first one.
+``--against`` prints for each role the largest difference.
 """
 
 from __future__ import annotations
 
 import argparse
 import hashlib
-import json
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import msgspec
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 from benchmarks.faults import kinds
 from benchmarks.faults import lockstep as fault_runs
 from benchmarks.faults.draw import Run
 from benchmarks.faults.kinds import Fault, Place
-from ltv_mpc.control.node import ControllerNode
-from ltv_mpc.localisation.estimator import Estimator
-from ltv_mpc.messages import (
-    Applied,
-    ControllerState,
-    Estimate,
-    EstimatorState,
-    Message,
-    Plan,
-)
-from ltv_mpc.node import Inbox, Node, ReceivedMessage
+from ltv_mpc.messages import Applied, Estimate, Message, Plan
+from ltv_mpc.node import ReceivedMessage
 from services.run.nodes import make_nodes
-from services.run.run_config import Override, RunConfig, resolve
+from services.run.run_config import Override, resolve
 from services.tools import lockstep_run
 from sim.scheduler import LockStep, Observation
 
-S = 1_000_000_000
 DURATION_S = 40.0
-RESTART_NS = 20 * S
 FAULT_S = (20.0, 26.0)
 """Start and end of a fault."""
 
@@ -80,8 +66,11 @@ RUNS: Mapping[str, tuple[str, ...]] = {
 }
 """Descents, each with what it sets."""
 
-RESTARTED = "restart"
-HOVER = "hover"
+FAULTS = (
+    *("sensor_off", "sensor_wrong", "sensor_delayed", "message_loss", "message_corruption", "clock_jump"),
+    *("solver_failure", "thruster_loss", "second_source", "clock_step", "reference_point", "controller_restart"),
+)
+"""Classes of faults, one run each."""
 
 
 class Collector:
@@ -125,64 +114,19 @@ class Collector:
         }
 
 
-class Restarted:
-    """A node that is replaced by a new one at ``RESTART_NS``, which is given what a supervisor would hand it."""
-
-    def __init__(self, make: Callable[[], Node], memory: dict[type[Message], Message]) -> None:
-        self._make, self._memory = make, memory
-        self._node = make()
-        self._restarted = False
-        self.name, self.schedule = self._node.name, self._node.schedule
-        self.reads, self.writes = self._node.reads, self._node.writes
-
-    def step(self, t_ns: int, inbox: Inbox) -> Sequence[Message]:
-        """Step the node; at the time of the restart, step a new one that begins from the newest saved state."""
-        if not self._restarted and t_ns >= RESTART_NS:
-            self._restarted, self._node = True, self._make()
-            inbox = [ReceivedMessage(self._state(), 1, 0, t_ns), *inbox]
-        out = self._node.step(t_ns, inbox)
-        self._memory.update({type(signal): signal for signal in out})
-        return out
-
-    def _state(self) -> Message:
-        newest: Any = self._memory.get
-        if self.name == ControllerNode.name:
-            return msgspec.structs.replace(newest(ControllerState), plan=newest(Plan), estimate=newest(Estimate))
-        return msgspec.structs.replace(newest(EstimatorState), estimate=newest(Estimate))
-
-
-def run_config(name: str, *settings: str) -> RunConfig:
-    """Resolve the scenario ``name`` with these settings, for ``DURATION_S`` if they name no other duration."""
-    return resolve(name, [Override("fingerprint", [f"run.duration_s={DURATION_S}", "run.seed=5", *settings])])
-
-
-def lockstep(of: RunConfig, nodes: list[Node]) -> Values:
-    """Run these nodes of the situation."""
+def plain(scenario: str, *settings: str) -> Values:
+    """Run a scenario with these settings, for ``DURATION_S`` if they name no other duration."""
+    of = resolve(scenario, [Override("fingerprint", [f"run.duration_s={DURATION_S}", "run.seed=5", *settings])])
     collector = Collector()
-    delay_ns = round(of.scenario.run.compute_delay_s * 1e9)
     LockStep(
-        nodes,
+        make_nodes(of),
         start_ns=of.scenario.start_ns,
-        compute_delay_ns=delay_ns,
+        compute_delay_ns=round(of.scenario.run.compute_delay_s * 1e9),
         observation=Observation(collector),
         latest=lockstep_run.LATEST,
         make_rejection=lockstep_run.rejected_message,
     ).advance(of.scenario.end_ns)
     return collector.values()
-
-
-def restarted() -> Values:
-    """Run a descent whose estimator and controller are replaced in the middle."""
-    of = run_config("descent")
-    memory: dict[type[Message], Message] = {}
-
-    def again(node: Node) -> Node:
-        def make() -> Node:
-            return next(new for new in make_nodes(of) if new.name == node.name)
-
-        return Restarted(make, memory) if node.name in (ControllerNode.name, Estimator.name) else node
-
-    return lockstep(of, [again(node) for node in make_nodes(of)])
 
 
 def faulty(kind: str) -> Values:
@@ -199,14 +143,9 @@ def faulty(kind: str) -> Values:
 
 def runs() -> dict[str, Callable[[], Values]]:
     """Every run by its name."""
-    descents = {name: lambda s=settings: _plain("descent", *s) for name, settings in RUNS.items()}
-    faults = {f"fault: {row.name}": lambda k=row.name: faulty(k) for row in kinds.KINDS if row.place is Place.LOCKSTEP}
-    return {**descents, HOVER: lambda: _plain("hover"), RESTARTED: restarted, **faults}
-
-
-def _plain(scenario: str, *settings: str) -> Values:
-    of = run_config(scenario, *settings)
-    return lockstep(of, make_nodes(of))
+    descents = {name: lambda s=settings: plain("descent", *s) for name, settings in RUNS.items()}
+    faults = {f"fault: {name}": lambda kind=name: faulty(kind) for name in FAULTS}
+    return {**descents, "hover": lambda: plain("hover"), **faults}
 
 
 def digest(values: np.ndarray) -> str:
@@ -232,27 +171,23 @@ def main() -> int:
     parser.add_argument("--save", type=Path, help="write all values to this .npz file")
     parser.add_argument("--against", type=Path, help="compare with the values in this .npz file")
     parser.add_argument("--only", nargs="*", help="only the runs whose names begin with one of these")
-    parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     chosen = {name: make for name, make in runs().items() if not options.only or name.startswith(tuple(options.only))}
     old = {} if options.against is None else dict(np.load(options.against))
-    values = {f"{name}/{role}": rows for name, make in chosen.items() for role, rows in make().items()}
+    values: Values = {}
+    changed = 0
+    for name, make in chosen.items():
+        made = {f"{name}/{role}": rows for role, rows in make().items()}
+        print(f"{name:<34}", *(digest(rows) for rows in made.values()), flush=True)
+        for key, said in ((key, difference(rows, old.get(key))) for key, rows in made.items() if old):
+            if said:
+                changed += 1
+                print(f"    {key}: {said}", flush=True)
+        values |= made
     if options.save is not None:
         np.savez(options.save, **values)
-    hashes = {key: digest(rows) for key, rows in values.items()}
-    whole = hashlib.sha256("".join(hashes.values()).encode()).hexdigest()[:16]
-    changed = {key: said for key, rows in values.items() if (said := difference(rows, old.get(key)))} if old else {}
-    if options.json:
-        json.dump({"fingerprint": whole, "hashes": hashes, "changed": changed}, sys.stdout)
-        return 1 if changed else 0
-    table = Table("run", "estimate", "plan", "applied")
-    for name in chosen:
-        table.add_row(name, *(hashes[f"{name}/{role}"] for role in ("estimate", "plan", "applied")))
-    console = Console()
-    console.print(table)
-    for key, said in changed.items():
-        console.print(f"{key}: {said}")
-    console.print(f"fingerprint {whole}" + (f", {len(changed)} of {len(values)} differ" if old else ""))
+    whole = hashlib.sha256("".join(map(digest, values.values())).encode()).hexdigest()[:16]
+    print(f"fingerprint {whole}" + (f", {changed} of {len(values)} differ" if old else ""))
     return 1 if changed else 0
 
 

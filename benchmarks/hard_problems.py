@@ -21,9 +21,8 @@ from typing import NamedTuple
 
 import msgspec
 import numpy as np
-from rich.console import Console
-from rich.progress import track
 
+from benchmarks.batch import in_order
 from ltv_mpc.control.config import ControllerConfig, MotionLimits
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.nominal_model import advance
@@ -33,7 +32,6 @@ from ltv_mpc.messages import CurrentProfile, Estimate, PlanOrigin, SolveStatus
 from ltv_mpc.references import Point
 from ltv_mpc.vehicle.parameters import Vehicle
 from ltv_mpc.vehicle.performance import Performance, performance
-from services.tools.batch.executor import run_each
 
 VEHICLES = ("paper", "low-yaw", "surface", "weak-reverse")
 
@@ -139,17 +137,14 @@ def main() -> None:
         options.keep.mkdir(parents=True, exist_ok=True)
     seeds = range(options.first_seed, options.first_seed + options.problems)
     jobs = [Job(seed, options.solver, options.keep) for seed in seeds]
-    results: dict[str, list[Solved]] = {name: [] for name in VEHICLES}
-    flown = run_each(one, jobs, workers=options.workers)
-    for _, solved in track(flown, "problems", len(jobs), console=Console(stderr=True)):
-        results[solved.vehicle].append(solved)
+    found = in_order(one, jobs, workers=options.workers)
     print("| vehicle | cycles | not solved | in the first cycle | iterations: median, 99.9 %, most |", end="")
     print(" cycle (ms): median, 99.9 %, longest | statuses that are not solved |")
     print("|---|---|---|---|---|---|---|")
-    for name, runs in results.items():
-        if runs:
+    for name in VEHICLES:
+        if runs := [solved for solved in found if solved.vehicle == name]:
             print(row(name, runs))
-    print(row("all", [run for runs in results.values() for run in runs]))
+    print(row("all", found))
 
 
 def row(name: str, runs: list[Solved]) -> str:

@@ -19,13 +19,13 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
+from benchmarks.batch import in_order
 from benchmarks.robustness.cases import RIGHT, conditions
 from benchmarks.robustness.flights import Row
 from benchmarks.strangers.flight import Ours, Start, fly, load
 from benchmarks.strangers.tasks import SQUARE, reference, speed_mps
 from ltv_mpc.control.disturbance import VELOCITY_ERROR_TIME_S
 from ltv_mpc.messages import Applied, Array, Estimate
-from services.tools.batch.executor import run_each
 
 CASES = (RIGHT, "wind=0.1", "mass=2", "mass=0.5", "drag=0.5", "drag=2", "arm=0.7", "mass=2 drag=0.5 arm=0.7")
 VEHICLES = ("light_boat", "surface")
@@ -116,7 +116,7 @@ def main() -> None:
     print("|---" * 7 + "|")
     for row in (Row(vehicle, "square", case) for vehicle in options.vehicles for case in options.cases):
         jobs = [(row, seed) for seed in range(1, options.runs + 1)]
-        print(line(row, [run for _, run in run_each(judged, jobs, workers=options.jobs)]), flush=True)
+        print(line(row, in_order(judged, jobs, workers=options.jobs)), flush=True)
 
 
 if __name__ == "__main__":

@@ -2,8 +2,8 @@
 
     .venv/bin/python -P -m benchmarks.tutorials [--page docs/tutorial.md] [--pictures] [--output]
 
-The blocks run in a temporary folder. ``make sim`` is run without what it installs and compiles, which
-``benchmarks.first_minute`` measures; a browser has the live page open. A line that a page shows and no command above it
+The blocks run in a temporary folder. ``make sim`` is run without what it installs and compiles; a browser
+has the live page open. A line that a page shows and no command above it
 prints ends the walk with an error. ``--pictures`` writes docs/tutorial-*.png, ``--output`` prints what the commands
 print. It needs chromium or chrome on PATH, and the ports of the tutorial.
 """
@@ -26,7 +26,6 @@ from typing import Any, NamedTuple
 from PIL import Image
 from playwright.sync_api import Browser, Page, sync_playwright
 
-from benchmarks.dashboard_cost import SAYS
 from tests.browser.conftest import SCREEN, executable
 from tests.docs.page_reader import PageReader, printed_lines
 from tests.docs.pages import ROOT, Block, Command, blocks, commands, links, prose
@@ -41,6 +40,7 @@ READY = {
 }
 """Commands that run until they are stopped, and what they print when the next terminal can be used."""
 
+SAYS = "live page: "
 AT_THE_POINT = re.compile(r"-?0\.0\d m north, -?0\.0\d m east, controller")
 SETTLED_S = 5
 """Lines of the publisher, one a second, that say so."""

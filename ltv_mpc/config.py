@@ -188,11 +188,26 @@ def read_json(path: Path, *, what: str) -> dict[str, Any]:
     ConfigError
         As ``read_text``, or if it is no JSON object.
     """
-    text = read_text(path, what=what)
+    return parse_json(read_text(path, what=what), f"{what} {path}")
+
+
+def parse_json(text: str | bytes, source: str) -> dict[str, Any]:
+    """Return the object of a JSON text.
+
+    Parameters
+    ----------
+    text : content of a file.
+    source : name of the file in errors.
+
+    Raises
+    ------
+    ConfigError
+        If it is no JSON object.
+    """
     try:
         return msgspec.json.decode(text, type=dict[str, Any])
     except (ValueError, RecursionError) as error:
-        raise ConfigError(f"{what} {path}", "", f"is not a JSON object: {error}") from None
+        raise ConfigError(source, "", f"is not a JSON object: {error}") from None
 
 
 def missing_file_hint(path: Path) -> str:

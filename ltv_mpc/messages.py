@@ -11,9 +11,9 @@ actuators, operator, every process, clock.
 
 This file is the only description of the messages. ``validation.py`` compiles its checks from the annotations; the
 decoder of the wire, the JSON Schemas, the protocol page and the channels of a recording also come from them. Each
-number carries the bounds of its quantity (``ge``, ``le``) and its unit, each field a ``description``. An array is
-annotated with the list that represents it on the wire: ``Meta(extra={"wire": list[list[Force]]})`` is a matrix of
-forces. ``None`` in such a list is a missing value, which is NaN in the array.
+number carries the bounds of its quantity (``ge``, ``le``) and its unit; the docstring below a field is its meaning,
+also in the schemas and pages. An array is annotated with the list that represents it on the wire: ``Meta(extra={"wire":
+list[list[Force]]})`` is a matrix of forces. ``None`` in such a list is a missing value, which is NaN in the array.
 """
 
 from __future__ import annotations
@@ -118,26 +118,6 @@ ModelProductMatrix: TypeAlias = Annotated[Array, Meta(extra={"wire": list[list[M
 Knots: TypeAlias = Annotated[Times, Meta(extra={"wire": list[Time]})]
 Indices: TypeAlias = Annotated[Times, Meta(extra={"wire": list[Index]})]
 
-# --- fields with the same meaning in several messages ----------------------------------------------------------------
-
-ValidityTime: TypeAlias = Annotated[Time, Meta(description="time of validity")]
-PublicationTime: TypeAlias = Annotated[Time, Meta(description="time of publication")]
-North: TypeAlias = Annotated[Position, Meta(description="position north of the origin")]
-East: TypeAlias = Annotated[Position, Meta(description="position east of the origin")]
-VelocityNorth: TypeAlias = Annotated[Speed, Meta(description="velocity over ground, north")]
-VelocityEast: TypeAlias = Annotated[Speed, Meta(description="velocity over ground, east")]
-YawRate: TypeAlias = Annotated[AngularRate, Meta(description="rate of turn about the down axis, positive to starboard")]
-HealthReason: TypeAlias = Annotated[str, Meta(description="reason of the health; empty if it is nominal")]
-Arrived: TypeAlias = Annotated[
-    bool, Meta(description="the vehicle has come to the end of the reference, and not its target alone")
-]
-ReferenceProgress: TypeAlias = Annotated[
-    Share | None, Meta(description="completed share of the reference; null if the reference has no end")
-]
-Crc: TypeAlias = Annotated[Identifier, Meta(description="CRC-32 of the payload")]
-Publisher: TypeAlias = Annotated[str, Meta(description="node that publishes this message")]
-Key: TypeAlias = Annotated[str, Meta(description="key of the message, without the namespace")]
-
 
 class Message(msgspec.Struct, frozen=True, kw_only=True, eq=False, forbid_unknown_fields=True, gc=False):
     """Base class of all messages. Arrays are numpy arrays in memory and lists on the wire.
@@ -169,18 +149,22 @@ class MissionAction(enum.StrEnum):
 class Truth(Message, frozen=True, kw_only=True, eq=False):
     """True state of the simulated vehicle."""
 
-    t_ns: ValidityTime
-    position_m: Annotated[Positions, Meta(description="north, east, down")]
-    velocity_mps: Annotated[Speeds, Meta(description="over ground: north, east, down")]
-    attitude_rad: Annotated[Angles, Meta(description="roll, pitch, heading")]
-    water_velocity_mps: Annotated[
-        Speeds, Meta(description="velocity through the water: surge, sway, heave, in the level heading frame")
-    ]
-    yaw_rate_radps: YawRate
-    current_mps: Annotated[
-        tuple[WaterSpeed, WaterSpeed], Meta(description="velocity of the water at the vehicle over ground: north, east")
-    ]
-    thrust_N: Annotated[Forces, Meta(description="delivered: port, starboard, vertical")]
+    t_ns: Time
+    """time of validity"""
+    position_m: Positions
+    """north, east, down"""
+    velocity_mps: Speeds
+    """over ground: north, east, down"""
+    attitude_rad: Angles
+    """roll, pitch, heading"""
+    water_velocity_mps: Speeds
+    """velocity through the water: surge, sway, heave, in the level heading frame"""
+    yaw_rate_radps: AngularRate
+    """rate of turn about the down axis, positive to starboard"""
+    current_mps: tuple[WaterSpeed, WaterSpeed]
+    """velocity of the water at the vehicle over ground: north, east"""
+    thrust_N: Forces
+    """delivered: port, starboard, vertical"""
 
 
 # --- written by the sensors, read by the estimator -------------------------------------------------------------------
@@ -192,18 +176,21 @@ class ImuSample(Message, frozen=True, kw_only=True, eq=False):
     Each is the increment over the interval that ends at ``t_ns``, divided by the length of that interval.
     """
 
-    t_ns: Annotated[Time, Meta(description="end of the interval")]
-    interval_ns: Annotated[Interval, Meta(description="length of the interval")]
-    angular_rate_radps: Annotated[AngularRates, Meta(description="mean over the interval: forward, starboard, down")]
-    specific_force_mps2: Annotated[SpecificForces, Meta(description="mean over the interval: forward, starboard, down")]
+    t_ns: Time
+    """end of the interval"""
+    interval_ns: Interval
+    """length of the interval"""
+    angular_rate_radps: AngularRates
+    """mean over the interval: forward, starboard, down"""
+    specific_force_mps2: SpecificForces
+    """mean over the interval: forward, starboard, down"""
 
 
 class ImuSamples(Message, frozen=True, kw_only=True, eq=False):
     """Samples of a strapdown IMU since the last message; a driver that has one at a time publishes one."""
 
-    samples: Annotated[
-        tuple[ImuSample, ...], Meta(min_length=1, max_length=1000, description="in order of time, each with its own")
-    ]
+    samples: Annotated[tuple[ImuSample, ...], Meta(min_length=1, max_length=1000)]
+    """in order of time, each with its own"""
 
     @property
     def t_ns(self) -> int:
@@ -214,20 +201,29 @@ class ImuSamples(Message, frozen=True, kw_only=True, eq=False):
 class GnssFix(Message, frozen=True, kw_only=True, eq=False):
     """Position and velocity over ground from satellite navigation, at the surface."""
 
-    t_ns: ValidityTime
-    north_m: North
-    east_m: East
-    velocity_north_mps: VelocityNorth
-    velocity_east_mps: VelocityEast
+    t_ns: Time
+    """time of validity"""
+    north_m: Position
+    """position north of the origin"""
+    east_m: Position
+    """position east of the origin"""
+    velocity_north_mps: Speed
+    """velocity over ground, north"""
+    velocity_east_mps: Speed
+    """velocity over ground, east"""
 
 
 class TdcpFix(Message, frozen=True, kw_only=True, eq=False):
     """Change of position between two epochs from time-differenced carrier phase, at the surface."""
 
-    t_ns: ValidityTime
-    from_t_ns: Annotated[Time, Meta(description="the earlier epoch")]
-    north_m: Annotated[Position, Meta(description="change of position from the earlier epoch to t_ns, north")]
-    east_m: Annotated[Position, Meta(description="change of position from the earlier epoch to t_ns, east")]
+    t_ns: Time
+    """time of validity"""
+    from_t_ns: Time
+    """the earlier epoch"""
+    north_m: Position
+    """change of position from the earlier epoch to t_ns, north"""
+    east_m: Position
+    """change of position from the earlier epoch to t_ns, east"""
 
 
 class AdcpPing(Message, frozen=True, kw_only=True, eq=False):
@@ -237,26 +233,30 @@ class AdcpPing(Message, frozen=True, kw_only=True, eq=False):
     the wire) where a beam has no return.
     """
 
-    t_ns: ValidityTime
-    range_m: Annotated[SlantRanges, Meta(description="slant range to the centre of each cell, increasing")]
-    beam_velocity_mps: Annotated[
-        BeamSpeedRows,
-        Meta(description="4 x K, of the water along each beam, positive away from the vehicle; null: no return"),
-    ]
+    t_ns: Time
+    """time of validity"""
+    range_m: SlantRanges
+    """slant range to the centre of each cell, increasing"""
+    beam_velocity_mps: BeamSpeedRows
+    """4 x K, of the water along each beam, positive away from the vehicle; null: no return"""
 
 
 class PressureDepth(Message, frozen=True, kw_only=True, eq=False):
     """Depth below the surface from pressure."""
 
-    t_ns: ValidityTime
-    depth_m: Annotated[Depth, Meta(description="depth below the surface")]
+    t_ns: Time
+    """time of validity"""
+    depth_m: Depth
+    """depth below the surface"""
 
 
 class CompassHeading(Message, frozen=True, kw_only=True, eq=False):
     """True heading from a magnetic compass, corrected for deviation and declination, in (-pi, pi]."""
 
-    t_ns: ValidityTime
-    heading_rad: Annotated[Angle, Meta(description="true heading, corrected for deviation and declination")]
+    t_ns: Time
+    """time of validity"""
+    heading_rad: Angle
+    """true heading, corrected for deviation and declination"""
 
 
 class BottomTrack(Message, frozen=True, kw_only=True, eq=False):
@@ -266,11 +266,12 @@ class BottomTrack(Message, frozen=True, kw_only=True, eq=False):
     bottom return.
     """
 
-    t_ns: ValidityTime
-    range_m: Annotated[SlantRangesOrNone, Meta(description="slant range to the bottom by beam; null: no return")]
-    beam_velocity_mps: Annotated[
-        BeamSpeeds, Meta(description="of the bottom along each beam, positive away from the vehicle; null: no return")
-    ]
+    t_ns: Time
+    """time of validity"""
+    range_m: SlantRangesOrNone
+    """slant range to the bottom by beam; null: no return"""
+    beam_velocity_mps: BeamSpeeds
+    """of the bottom along each beam, positive away from the vehicle; null: no return"""
 
 
 class LblRange(Message, frozen=True, kw_only=True, eq=False):
@@ -279,19 +280,23 @@ class LblRange(Message, frozen=True, kw_only=True, eq=False):
     Half of it is the range, valid at the middle between interrogation and reply.
     """
 
-    t_ns: Annotated[Time, Meta(description="middle between interrogation and reply")]
-    transponder: Annotated[Index, Meta(description="index in the sensors file, from 0")]
-    travel_time_s: Annotated[
-        TravelTime, Meta(description="two-way travel time, without the turn-around time of the transponder")
-    ]
+    t_ns: Time
+    """middle between interrogation and reply"""
+    transponder: Index
+    """index in the sensors file, from 0"""
+    travel_time_s: TravelTime
+    """two-way travel time, without the turn-around time of the transponder"""
 
 
 class UsblFix(Message, frozen=True, kw_only=True, eq=False):
     """Position over ground that a ship measured acoustically and sent down. It arrives after its time of validity."""
 
-    t_ns: ValidityTime
-    north_m: North
-    east_m: East
+    t_ns: Time
+    """time of validity"""
+    north_m: Position
+    """position north of the origin"""
+    east_m: Position
+    """position east of the origin"""
 
 
 # --- written by the estimator: the estimate for the controller, a report for people, its state for a restart ---------
@@ -300,12 +305,14 @@ class UsblFix(Message, frozen=True, kw_only=True, eq=False):
 class CurrentProfile(Message, frozen=True, kw_only=True, eq=False):
     """Horizontal water velocity over depth: linear between the depths, constant beyond both ends. Arrays are (K,)."""
 
-    depth_m: Annotated[Depths, Meta(description="K depths, increasing; linear between them, constant beyond both ends")]
-    north_mps: Annotated[WaterSpeeds, Meta(description="velocity of the water over ground at each depth, north")]
-    east_mps: Annotated[WaterSpeeds, Meta(description="velocity of the water over ground at each depth, east")]
-    sd_mps: Annotated[
-        SpeedDeviations | None, Meta(description="standard deviation of either component at each depth")
-    ] = None
+    depth_m: Depths
+    """K depths, increasing; linear between them, constant beyond both ends"""
+    north_mps: WaterSpeeds
+    """velocity of the water over ground at each depth, north"""
+    east_mps: WaterSpeeds
+    """velocity of the water over ground at each depth, east"""
+    sd_mps: SpeedDeviations | None = None
+    """standard deviation of either component at each depth"""
 
 
 class Estimate(Message, frozen=True, kw_only=True, eq=False):
@@ -314,25 +321,30 @@ class Estimate(Message, frozen=True, kw_only=True, eq=False):
     ``covariance`` is (6, 6) over north, east (m), velocity north, east (m/s), heading (rad), yaw rate (rad/s).
     """
 
-    t_ns: ValidityTime
-    north_m: North
-    east_m: East
-    heading_rad: Annotated[Angle, Meta(description="true heading, clockwise from north; may be unwrapped")]
-    yaw_rate_radps: YawRate
-    velocity_north_mps: VelocityNorth
-    velocity_east_mps: VelocityEast
-    depth_m: Annotated[Depth | None, Meta(description="depth below the surface; omitted by surface craft")] = None
-    velocity_down_mps: Annotated[Speed | None, Meta(description="sinking speed; 0 is assumed if omitted")] = None
-    altitude_m: Annotated[SlantRange | None, Meta(description="height above the bottom; omitted if it is not seen")] = (
-        None
-    )
-    covariance: Annotated[
-        CovarianceMatrix | None,
-        Meta(description="6 x 6 of north, east, velocity north, velocity east, heading, yaw rate"),
-    ] = None
-    current: Annotated[
-        CurrentProfile | None, Meta(description="velocity of the water over depth, as far as it is known")
-    ] = None
+    t_ns: Time
+    """time of validity"""
+    north_m: Position
+    """position north of the origin"""
+    east_m: Position
+    """position east of the origin"""
+    heading_rad: Angle
+    """true heading, clockwise from north; may be unwrapped"""
+    yaw_rate_radps: AngularRate
+    """rate of turn about the down axis, positive to starboard"""
+    velocity_north_mps: Speed
+    """velocity over ground, north"""
+    velocity_east_mps: Speed
+    """velocity over ground, east"""
+    depth_m: Depth | None = None
+    """depth below the surface; omitted by surface craft"""
+    velocity_down_mps: Speed | None = None
+    """sinking speed; 0 is assumed if omitted"""
+    altitude_m: SlantRange | None = None
+    """height above the bottom; omitted if it is not seen"""
+    covariance: CovarianceMatrix | None = None
+    """6 x 6 of north, east, velocity north, velocity east, heading, yaw rate"""
+    current: CurrentProfile | None = None
+    """velocity of the water over depth, as far as it is known"""
 
     @classmethod
     def at_rest(
@@ -383,51 +395,52 @@ class SensorReport(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     ``nis`` is the mean over the window, per degree of freedom, before the gate.
     """
 
-    sensor: Annotated[str, Meta(description="name in the sensors file")]
-    status: Annotated[SensorStatus, Meta(description="consistency of the sensor with the filter")]
-    used: Annotated[Count, Meta(description="scalar measurements that corrected the filter since the last report")]
-    rejected: Annotated[
-        dict[str, Count],
-        Meta(description="measurements rejected since the last report, by reason: gate, late, no_return, ..."),
-    ]
-    nis: Annotated[
-        Dimensionless | None,
-        Meta(description="mean normalised innovation squared per degree of freedom, before the gate"),
-    ]
-    last_t_ns: Annotated[Time | None, Meta(description="time of validity of the newest message; null: none yet")]
+    sensor: str
+    """name in the sensors file"""
+    status: SensorStatus
+    """consistency of the sensor with the filter"""
+    used: Count
+    """scalar measurements that corrected the filter since the last report"""
+    rejected: dict[str, Count]
+    """measurements rejected since the last report, by reason: gate, late, no_return, ..."""
+    nis: Dimensionless | None
+    """mean normalised innovation squared per degree of freedom, before the gate"""
+    last_t_ns: Time | None
+    """time of validity of the newest message; null: none yet"""
 
 
 class InnovationSample(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Innovations of one message of a sensor that passed the gate: measurement minus its prediction by the filter."""
 
-    sensor: Annotated[str, Meta(description="name in the sensors file")]
-    t_ns: ValidityTime
-    rows: Annotated[
-        tuple[Index, ...],
-        Meta(
-            description="index of each measurement in its message; gnss: 0, 1 position, 2, 3 velocity; lbl: transponder"
-        ),
-    ]
-    innovations: Annotated[tuple[Innovation, ...], Meta(description="in the unit of the measurement")]
-    sd: Annotated[tuple[InnovationDeviation, ...], Meta(description="standard deviation that the filter expects")]
+    sensor: str
+    """name in the sensors file"""
+    t_ns: Time
+    """time of validity"""
+    rows: tuple[Index, ...]
+    """index of each measurement in its message; gnss: 0, 1 position, 2, 3 velocity; lbl: transponder"""
+    innovations: tuple[Innovation, ...]
+    """in the unit of the measurement"""
+    sd: tuple[InnovationDeviation, ...]
+    """standard deviation that the filter expects"""
 
 
 class LocalisationReport(Message, frozen=True, kw_only=True, eq=False):
     """Health report of the localisation filter and its sensors."""
 
-    t_ns: ValidityTime
-    status: Annotated[FilterStatus, Meta(description="consistency of the filter")]
-    why: Annotated[str, Meta(description="reason of the status; empty while nominal")]
-    restarts: Annotated[Count, Meta(description="restarts of the filter so far")]
-    water_walk_mps_per_rts: Annotated[
-        RandomWalk,
-        Meta(description="random walk added to that of the current because the innovations require it; 0: none"),
-    ]
-    sensors: Annotated[tuple[SensorReport, ...], Meta(description="one report for each sensor")]
-    innovations: Annotated[
-        tuple[InnovationSample, ...],
-        Meta(description="at most four innovations of the newest message of each sensor since the last report"),
-    ] = ()
+    t_ns: Time
+    """time of validity"""
+    status: FilterStatus
+    """consistency of the filter"""
+    why: str
+    """reason of the status; empty while nominal"""
+    restarts: Count
+    """restarts of the filter so far"""
+    water_walk_mps_per_rts: RandomWalk
+    """random walk added to that of the current because the innovations require it; 0: none"""
+    sensors: tuple[SensorReport, ...]
+    """one report for each sensor"""
+    innovations: tuple[InnovationSample, ...] = ()
+    """at most four innovations of the newest message of each sensor since the last report"""
 
 
 class DroppedGridPoint(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -436,22 +449,22 @@ class DroppedGridPoint(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     These are the fields of a ``Link`` in ``localisation/water/column.py``.
     """
 
-    grid_point: Annotated[Index, Meta(description="index in the depth grid, from 0 at the surface")]
-    velocity_mps: Annotated[tuple[Speed, Speed], Meta(description="velocity of the water over ground: north, east")]
-    conditioning_states: Annotated[
-        FilterStates, Meta(description="q states at that time, on which the velocity is conditioned")
-    ]
-    regression: Annotated[FilterStateRows, Meta(description="2 x q, regression of the velocity on those states")]
-    covariance: Annotated[CovarianceMatrix, Meta(description="2 x 2, covariance of the velocity given those states")]
-    position_cross_covariance: Annotated[
-        CovarianceMatrix, Meta(description="2 x 2, covariance of the velocity with the position")
-    ]
-    position_covariance: Annotated[
-        CovarianceMatrix, Meta(description="2 x 2, covariance of the position given those states, at that time")
-    ]
-    walk_variance_m2ps2: Annotated[
-        SpeedVariance, Meta(description="variance gained through the random walk up to that time")
-    ]
+    grid_point: Index
+    """index in the depth grid, from 0 at the surface"""
+    velocity_mps: tuple[Speed, Speed]
+    """velocity of the water over ground: north, east"""
+    conditioning_states: FilterStates
+    """q states at that time, on which the velocity is conditioned"""
+    regression: FilterStateRows
+    """2 x q, regression of the velocity on those states"""
+    covariance: CovarianceMatrix
+    """2 x 2, covariance of the velocity given those states"""
+    position_cross_covariance: CovarianceMatrix
+    """2 x 2, covariance of the velocity with the position"""
+    position_covariance: CovarianceMatrix
+    """2 x 2, covariance of the position given those states, at that time"""
+    walk_variance_m2ps2: SpeedVariance
+    """variance gained through the random walk up to that time"""
 
 
 class EstimatorState(Message, frozen=True, kw_only=True, eq=False):
@@ -462,33 +475,32 @@ class EstimatorState(Message, frozen=True, kw_only=True, eq=False):
     receives the newest state as its first message.
     """
 
-    t_ns: ValidityTime
-    settings_crc: Annotated[
-        Identifier, Meta(description="CRC-32 of the settings of sensors and filter; the state is valid only with them")
-    ]
-    x: Annotated[FilterStates, Meta(description="n states, in the order of the filter")]
-    attitude: Annotated[RotationMatrix, Meta(description="3 x 3, body to north, east, down")]
-    mounting: Annotated[RotationMatrix, Meta(description="3 x 3, profiler to body")]
-    covariance: Annotated[
-        Covariances, Meta(description="of the states: lower triangle, row by row, n (n + 1) / 2 numbers")
-    ]
-    epoch_t_ns: Annotated[Time, Meta(description="satellite epoch whose position is among the states")]
-    first_grid_point: Annotated[
-        Index, Meta(description="first point of the depth grid whose current is among the states")
-    ]
-    measured_grid_points: Annotated[
-        Indices, Meta(description="points of the depth grid at which the profiler has measured")
-    ]
-    dropped_grid_points: Annotated[
-        tuple[DroppedGridPoint, ...], Meta(description="conditional distributions of grid points that left the states")
-    ]
-    walk_variance_m2ps2: Annotated[
-        SpeedVariance, Meta(description="variance that each grid point has gained through the random walk")
-    ]
-    restarts: Annotated[Count, Meta(description="restarts of the filter so far")]
-    estimate: Annotated[
-        Estimate | None, Meta(description="newest published estimate, which the supervisor adds for a restart")
-    ] = None
+    t_ns: Time
+    """time of validity"""
+    settings_crc: Identifier
+    """CRC-32 of the settings of sensors and filter; the state is valid only with them"""
+    x: FilterStates
+    """n states, in the order of the filter"""
+    attitude: RotationMatrix
+    """3 x 3, body to north, east, down"""
+    mounting: RotationMatrix
+    """3 x 3, profiler to body"""
+    covariance: Covariances
+    """of the states: lower triangle, row by row, n (n + 1) / 2 numbers"""
+    epoch_t_ns: Time
+    """satellite epoch whose position is among the states"""
+    first_grid_point: Index
+    """first point of the depth grid whose current is among the states"""
+    measured_grid_points: Indices
+    """points of the depth grid at which the profiler has measured"""
+    dropped_grid_points: tuple[DroppedGridPoint, ...]
+    """conditional distributions of grid points that left the states"""
+    walk_variance_m2ps2: SpeedVariance
+    """variance that each grid point has gained through the random walk"""
+    restarts: Count
+    """restarts of the filter so far"""
+    estimate: Estimate | None = None
+    """newest published estimate, which the supervisor adds for a restart"""
 
 
 # --- written by the controller: plans, replies to commands, its status, its state for a restart ----------------------
@@ -527,55 +539,64 @@ class Authority(enum.StrEnum):
 class Obstacle(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Moving obstacle: it is predicted at constant velocity, and its uncertainty grows with its age."""
 
-    id: Annotated[Identifier, Meta(description="a later report with this id replaces this one")]
-    t_ns: ValidityTime
-    north_m: North
-    east_m: East
-    velocity_north_mps: VelocityNorth
-    velocity_east_mps: VelocityEast
-    radius_m: Annotated[Length, Meta(description="of a circle around it")]
-    covariance_m2: Annotated[
-        tuple[Covariance, Covariance, Covariance],
-        Meta(description="of its position: north-north, north-east, east-east"),
-    ] = (0.0, 0.0, 0.0)
+    id: Identifier
+    """a later report with this id replaces this one"""
+    t_ns: Time
+    """time of validity"""
+    north_m: Position
+    """position north of the origin"""
+    east_m: Position
+    """position east of the origin"""
+    velocity_north_mps: Speed
+    """velocity over ground, north"""
+    velocity_east_mps: Speed
+    """velocity over ground, east"""
+    radius_m: Length
+    """of a circle around it"""
+    covariance_m2: tuple[Covariance, Covariance, Covariance] = (0.0, 0.0, 0.0)
+    """of its position: north-north, north-east, east-east"""
 
 
 class Solve(Message, frozen=True, kw_only=True, eq=False):
     """Result of one solve; residuals are those of the scaled problem."""
 
-    status: Annotated[SolveStatus, Meta(description="outcome of the solve")]
-    iterations: Annotated[Count, Meta(description="iterations of the solver")] = 0
-    primal_residual: Annotated[Residual, Meta(description="primal residual of the scaled problem")] = 0.0
-    dual_residual: Annotated[Residual, Meta(description="dual residual of the scaled problem")] = 0.0
-    why: Annotated[str, Meta(description="reason of a failure; empty if there is none")] = ""
+    status: SolveStatus
+    """outcome of the solve"""
+    iterations: Count = 0
+    """iterations of the solver"""
+    primal_residual: Residual = 0.0
+    """primal residual of the scaled problem"""
+    dual_residual: Residual = 0.0
+    """dual residual of the scaled problem"""
+    why: str = ""
+    """reason of a failure; empty if there is none"""
 
 
 class FenceReport(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Zones of the fence and obstacles beside a plan. Distances are between the hull and the boundary."""
 
-    clearance_m: Annotated[
-        Position | None, Meta(description="least distance from a zone or obstacle over the plan; negative: inside")
-    ]
-    nearest: Annotated[str, Meta(description="label of that zone or obstacle; empty if there is none")] = ""
-    active: Annotated[tuple[str, ...], Meta(description="zones and obstacles that bound the plan")] = ()
-    in_margin: Annotated[tuple[str, ...], Meta(description="those whose margin the hull is in at the first knot")] = ()
-    inside: Annotated[tuple[str, ...], Meta(description="those that the hull is in at the first knot")] = ()
-    exceeded: Annotated[
-        Count, Meta(description="knots that lack more than 1 cm of a required clearance, of all zones and obstacles")
-    ] = 0
-    skipped_m: Annotated[Length, Meta(description="length of the path that is left out: zones and margins")] = 0.0
-    no_way: Annotated[bool, Meta(description="no way round the zones leads to the target")] = False
-    time_to_zone_ns: Annotated[
-        Duration | None,
-        Meta(
-            description="from the first knot until the hull is in a zone or obstacle; null: not within the plan, nor "
-            "within 10 minutes of drift after a plan that is not solved"
-        ),
-    ] = None
-    dropped: Annotated[
-        tuple[Identifier, ...],
-        Meta(description="obstacles of which a report was dropped in this cycle: too old, or ahead of vehicle time"),
-    ] = ()
+    clearance_m: Position | None
+    """least distance from a zone or obstacle over the plan; negative: inside"""
+    nearest: str = ""
+    """label of that zone or obstacle; empty if there is none"""
+    active: tuple[str, ...] = ()
+    """zones and obstacles that bound the plan"""
+    in_margin: tuple[str, ...] = ()
+    """those whose margin the hull is in at the first knot"""
+    inside: tuple[str, ...] = ()
+    """those that the hull is in at the first knot"""
+    exceeded: Count = 0
+    """knots that lack more than 1 cm of a required clearance, of all zones and obstacles"""
+    skipped_m: Length = 0.0
+    """length of the path that is left out: zones and margins"""
+    no_way: bool = False
+    """no way round the zones leads to the target"""
+    time_to_zone_ns: Duration | None = None
+    """from the first knot until the hull is in a zone or obstacle; null: not within the plan, nor within 10 minutes of
+    drift after a plan that is not solved
+    """
+    dropped: tuple[Identifier, ...] = ()
+    """obstacles of which a report was dropped in this cycle: too old, or ahead of vehicle time"""
 
 
 class Plan(Message, frozen=True, kw_only=True, eq=False):
@@ -586,47 +607,50 @@ class Plan(Message, frozen=True, kw_only=True, eq=False):
     (rad/s). States and target are those of the vehicle's reference point, as the estimates are.
     """
 
-    cycle_t_ns: Annotated[Time, Meta(description="start of the cycle that computed the plan")]
-    t_ns: Annotated[Knots, Meta(description="N + 1 knots, increasing; the plan takes effect at the first")]
-    thrust_N: Annotated[ForceRows, Meta(description="(N + 1) x 3, commands at the knots: port, starboard, vertical")]
-    states: Annotated[
-        VehicleStateRows,
-        Meta(description="(N + 1) x 6, predicted: north, east, surge, sway (through the water), heading, yaw rate"),
-    ]
-    origin: Annotated[PlanOrigin, Meta(description="origin of the thrusts, best first")]
-    solve: Annotated[Solve, Meta(description="result of the solve")]
-    why: Annotated[str, Meta(description="reason of the origin, if it is not solved; else what is missing")] = ""
-    authority: Annotated[Authority, Meta(description="source of the thrust commands")] = Authority.CONTROLLER
-    health: Annotated[Health, Meta(description="timeliness of the inputs of the controller")] = Health.NOMINAL
-    health_why: HealthReason = ""
-    estimate_t_ns: Annotated[Time, Meta(description="t_ns of the estimate on which the plan is based")] = 0
-    expected_delay_ns: Annotated[Duration, Meta(description="from the start of the cycle to the first knot")] = 0
-    reference_m: Annotated[
-        tuple[Position, Position] | None,
-        Meta(description="north, east of the target at the first knot; null before the reference starts"),
-    ] = None
-    reference_depth_m: Annotated[
-        Depth | None, Meta(description="depth at which the reference ends; null if it has no depth")
-    ] = None
-    reference_heading_rad: Annotated[Angle | None, Meta(description="heading wanted at a point; null: it is free")] = (
-        None
-    )
-    depth_limit_m: Annotated[
-        Depth | None, Meta(description="depth limit that keeps the vehicle from the depth of the reference; null: none")
-    ] = None
-    progress: Annotated[Share | None, Meta(description="share of the path that the target has completed")] = None
-    cross_track_m: Annotated[
-        Position | None, Meta(description="distance from the path at the first knot, positive to starboard")
-    ] = None
-    remaining_m: Annotated[Length | None, Meta(description="length of the path ahead of the target")] = None
-    arrived: Arrived = False
-    delivered_N: Annotated[
-        tuple[Force, Force, Force] | None,
-        Meta(description="predicted thrust of port, starboard and vertical at the first knot; null: unknown"),
-    ] = None
-    fence: Annotated[
-        FenceReport | None, Meta(description="zones and obstacles beside the plan; null: no fence and no obstacle")
-    ] = None
+    cycle_t_ns: Time
+    """start of the cycle that computed the plan"""
+    t_ns: Knots
+    """N + 1 knots, increasing; the plan takes effect at the first"""
+    thrust_N: ForceRows
+    """(N + 1) x 3, commands at the knots: port, starboard, vertical"""
+    states: VehicleStateRows
+    """(N + 1) x 6, predicted: north, east, surge, sway (through the water), heading, yaw rate"""
+    origin: PlanOrigin
+    """origin of the thrusts, best first"""
+    solve: Solve
+    """result of the solve"""
+    why: str = ""
+    """reason of the origin, if it is not solved; else what is missing"""
+    authority: Authority = Authority.CONTROLLER
+    """source of the thrust commands"""
+    health: Health = Health.NOMINAL
+    """timeliness of the inputs of the controller"""
+    health_why: str = ""
+    """reason of the health; empty if it is nominal"""
+    estimate_t_ns: Time = 0
+    """t_ns of the estimate on which the plan is based"""
+    expected_delay_ns: Duration = 0
+    """from the start of the cycle to the first knot"""
+    reference_m: tuple[Position, Position] | None = None
+    """north, east of the target at the first knot; null before the reference starts"""
+    reference_depth_m: Depth | None = None
+    """depth at which the reference ends; null if it has no depth"""
+    reference_heading_rad: Angle | None = None
+    """heading wanted at a point; null: it is free"""
+    depth_limit_m: Depth | None = None
+    """depth limit that keeps the vehicle from the depth of the reference; null: none"""
+    progress: Share | None = None
+    """share of the path that the target has completed"""
+    cross_track_m: Position | None = None
+    """distance from the path at the first knot, positive to starboard"""
+    remaining_m: Length | None = None
+    """length of the path ahead of the target"""
+    arrived: bool = False
+    """the vehicle has come to the end of the reference, and not its target alone"""
+    delivered_N: tuple[Force, Force, Force] | None = None
+    """predicted thrust of port, starboard and vertical at the first knot; null: unknown"""
+    fence: FenceReport | None = None
+    """zones and obstacles beside the plan; null: no fence and no obstacle"""
 
     @property
     def initial_thrust_N(self) -> Triple:
@@ -651,33 +675,46 @@ class Plan(Message, frozen=True, kw_only=True, eq=False):
 class Acknowledgement(Message, frozen=True, kw_only=True, eq=False):
     """Reply of the controller to a ``Command``."""
 
-    t_ns: Annotated[Time, Meta(description="time of the decision")]
-    command_id: Annotated[Identifier, Meta(description="command_id of the command")]
-    accepted: Annotated[bool, Meta(description="the command was carried out")]
-    authority: Annotated[Authority, Meta(description="source of the thrust commands after it")]
-    why: Annotated[str, Meta(description="reason of the rejection; empty if the command was accepted")]
-    warnings: Annotated[
-        tuple[str, ...], Meta(description="of an accepted command: what it skipped, could not check or does not end")
-    ] = ()
+    t_ns: Time
+    """time of the decision"""
+    command_id: Identifier
+    """command_id of the command"""
+    accepted: bool
+    """the command was carried out"""
+    authority: Authority
+    """source of the thrust commands after it"""
+    why: str
+    """reason of the rejection; empty if the command was accepted"""
+    warnings: tuple[str, ...] = ()
+    """of an accepted command: what it skipped, could not check or does not end"""
 
 
 class ZoneInForce(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Zone of the fence in force, in the local frame."""
 
-    label: Annotated[str, Meta(max_length=200, description="table and number in the fence file, and its name")]
-    keep_in: Annotated[bool, Meta(description="the vehicle has to stay inside; false: outside")]
-    vertices_m: Annotated[PositionRows, Meta(description="(K, 2) north, east of the vertices; of a disc: its centre")]
-    radius_m: Annotated[Length, Meta(description="radius of a disc; 0 for a polygon")]
-    margin_m: Annotated[Length, Meta(description="distance between boundary and hull that is kept free")]
+    label: Annotated[str, Meta(max_length=200)]
+    """table and number in the fence file, and its name"""
+    keep_in: bool
+    """the vehicle has to stay inside; false: outside"""
+    vertices_m: PositionRows
+    """(K, 2) north, east of the vertices; of a disc: its centre"""
+    radius_m: Length
+    """radius of a disc; 0 for a polygon"""
+    margin_m: Length
+    """distance between boundary and hull that is kept free"""
 
 
 class FenceInForce(Message, frozen=True, kw_only=True, eq=False):
     """Fence that the controller keeps, and the obstacles that it knows. Without zones there is no fence."""
 
-    t_ns: PublicationTime
-    hull_radius_m: Annotated[Length, Meta(description="radius of the circle around the hull")]
-    zones: Annotated[tuple[ZoneInForce, ...], Meta(max_length=300, description="zones of the fence")] = ()
-    obstacles: Annotated[tuple[Obstacle, ...], Meta(max_length=64, description="obstacles not dropped yet")] = ()
+    t_ns: Time
+    """time of publication"""
+    hull_radius_m: Length
+    """radius of the circle around the hull"""
+    zones: Annotated[tuple[ZoneInForce, ...], Meta(max_length=300)] = ()
+    """zones of the fence"""
+    obstacles: Annotated[tuple[Obstacle, ...], Meta(max_length=64)] = ()
+    """obstacles not dropped yet"""
 
 
 class CycleTiming(Message, frozen=True, kw_only=True, eq=False):
@@ -688,54 +725,69 @@ class CycleTiming(Message, frozen=True, kw_only=True, eq=False):
     of its plan, ``compute_wall_ns`` the same in wall time.
     """
 
-    t_ns: Annotated[Time, Meta(description="start of the cycle")]
-    compute_ns: Annotated[Duration, Meta(description="from the start of the cycle to publication, vehicle time")]
-    compute_wall_ns: Annotated[Duration, Meta(description="from the start of the cycle to publication, wall time")]
-    estimate_age_ns: Annotated[Time, Meta(description="age of the estimate at the start of the cycle")]
-    stage_us: Annotated[dict[str, WallTime], Meta(description="wall time by step of the cycle")]
+    t_ns: Time
+    """start of the cycle"""
+    compute_ns: Duration
+    """from the start of the cycle to publication, vehicle time"""
+    compute_wall_ns: Duration
+    """from the start of the cycle to publication, wall time"""
+    estimate_age_ns: Time
+    """age of the estimate at the start of the cycle"""
+    stage_us: dict[str, WallTime]
+    """wall time by step of the cycle"""
 
 
 class ModelCheck(Message, frozen=True, kw_only=True, eq=False):
     """Consistency of the vehicle with its model: observed minus predicted motion between two estimates."""
 
-    t_ns: PublicationTime
-    residual_N: Annotated[Force, Meta(description="surge force, observed minus predicted, mean since the last message")]
-    residual_Nm: Annotated[
-        Moment, Meta(description="yaw moment, observed minus predicted, mean since the last message")
-    ]
-    evidence: Annotated[
-        Dimensionless, Meta(description="log-likelihood ratio of a thrust loss that model mismatch does not explain")
-    ]
-    thrust_loss: Annotated[
-        tuple[Share, Share], Meta(description="most likely lost share of the thrust: port, starboard")
-    ]
-    alarm: Annotated[bool, Meta(description="the vehicle does not move as its model predicts")]
-    why: Annotated[str, Meta(description="reason of the alarm")]
+    t_ns: Time
+    """time of publication"""
+    residual_N: Force
+    """surge force, observed minus predicted, mean since the last message"""
+    residual_Nm: Moment
+    """yaw moment, observed minus predicted, mean since the last message"""
+    evidence: Dimensionless
+    """log-likelihood ratio of a thrust loss that model mismatch does not explain"""
+    thrust_loss: tuple[Share, Share]
+    """most likely lost share of the thrust: port, starboard"""
+    alarm: bool
+    """the vehicle does not move as its model predicts"""
+    why: str
+    """reason of the alarm"""
 
 
 class InputReport(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """State of one input of the controller."""
 
-    input: Annotated[str, Meta(description="key of the input")]
-    alive: Annotated[bool, Meta(description="a message arrived recently")]
-    valid: Annotated[bool, Meta(description="the stamp of the newest message is current")]
-    rate: Annotated[bool, Meta(description="at most half of the recent messages are missing")]
-    age_ns: Annotated[Time | None, Meta(description="age of the newest message; null before the first")]
-    period_ns: Annotated[Duration, Meta(description="median spacing of the stamps; 0 before the second")]
-    rejected: Annotated[Count, Meta(description="messages rejected so far: out of order or implausible")]
+    input: str
+    """key of the input"""
+    alive: bool
+    """a message arrived recently"""
+    valid: bool
+    """the stamp of the newest message is current"""
+    rate: bool
+    """at most half of the recent messages are missing"""
+    age_ns: Time | None
+    """age of the newest message; null before the first"""
+    period_ns: Duration
+    """median spacing of the stamps; 0 before the second"""
+    rejected: Count
+    """messages rejected so far: out of order or implausible"""
 
 
 class ClockStep(Message, frozen=True, kw_only=True, eq=False):
     """Step of the clock of a publisher, as the controller recognised it. Its vehicle time runs on without a step."""
 
-    t_ns: Annotated[Time, Meta(description="time of the recognition")]
-    input: Annotated[str, Meta(description="key of the message that showed it")]
-    publisher: Annotated[Identifier, Meta(description="epoch of the publisher")]
-    step_ns: Annotated[Time, Meta(description="change of its clock, positive if it was set forward")]
-    certain: Annotated[
-        bool,
-        Meta(description="false: seen by constant lateness alone, which a congested link can cause: degraded for 10 s"),
-    ]
+    t_ns: Time
+    """time of the recognition"""
+    input: str
+    """key of the message that showed it"""
+    publisher: Identifier
+    """epoch of the publisher"""
+    step_ns: Time
+    """change of its clock, positive if it was set forward"""
+    certain: bool
+    """false: seen by constant lateness alone, which a congested link can cause: degraded for 10 s"""
 
 
 class ClockMode(enum.StrEnum):
@@ -749,81 +801,97 @@ class ClockMode(enum.StrEnum):
 class ControllerStatus(Message, frozen=True, kw_only=True, eq=False):
     """Status of the controller: inputs, cycle times, authority. Times are those of the last 10 s."""
 
-    t_ns: PublicationTime
-    estimate_age_ns: Annotated[Time | None, Meta(description="age of the newest estimate; null before the first")]
-    applied_age_ns: Annotated[
-        Time | None,
-        Meta(description="age of the newest applied message; null before the first: plans are assumed to be followed"),
-    ]
-    cycle_median_us: Annotated[
-        WallTime | None, Meta(description="from the start of a cycle to its plan, median of 10 s; null: no cycle")
-    ]
-    cycle_p99_us: Annotated[WallTime | None, Meta(description="99th percentile of the same")]
-    received: Annotated[Count, Meta(description="messages accepted so far")]
-    dropped: Annotated[Count, Meta(description="messages lost so far, by gaps in the sequences")]
-    rejected: Annotated[dict[str, Count], Meta(description="messages rejected so far, by reason")]
-    clock: Annotated[ClockMode, Meta(description="source of vehicle time in the controller")]
-    clock_error_ns: Annotated[
-        Duration | None, Meta(description="bound of the clock error; null: one-way, where it is unknown")
-    ]
-    clock_steps: Annotated[Count, Meta(description="steps of the publishers' clocks so far")] = 0
-    checkpoints_failed: Annotated[Count, Meta(description="checkpoints that could not be written so far")] = 0
-    authority: Annotated[Authority, Meta(description="source of the thrust commands")]
-    health: Annotated[Health, Meta(description="timeliness of the inputs of the controller")]
-    health_why: HealthReason = ""
-    mission_action: Annotated[MissionAction, Meta(description="action of the mission policy")] = MissionAction.GO_ON
-    error_m: Annotated[
-        Position | None,
-        Meta(description="horizontal distance of the newest estimate from the reference; null: no reference in force"),
-    ]
-    progress: ReferenceProgress = None
-    arrived: Arrived = False
-    inputs: Annotated[tuple[InputReport, ...], Meta(description="inputs whose age is monitored")] = ()
-    source: Annotated[
-        SourceChoice, Meta(description="name of the source of the estimates in use; empty before the first")
-    ] = ""
-    source_epoch: Annotated[Identifier, Meta(description="epoch of that source; 0 before the first")] = 0
-    rejected_epoch: Annotated[
-        Identifier, Meta(description="epoch of a second source that publishes on its key and is rejected; 0: none")
-    ] = 0
-    rejected_estimates: Annotated[Count, Meta(description="estimates of second sources rejected so far")] = 0
+    t_ns: Time
+    """time of publication"""
+    estimate_age_ns: Time | None
+    """age of the newest estimate; null before the first"""
+    applied_age_ns: Time | None
+    """age of the newest applied message; null before the first: plans are assumed to be followed"""
+    cycle_median_us: WallTime | None
+    """from the start of a cycle to its plan, median of 10 s; null: no cycle"""
+    cycle_p99_us: WallTime | None
+    """99th percentile of the same"""
+    received: Count
+    """messages accepted so far"""
+    dropped: Count
+    """messages lost so far, by gaps in the sequences"""
+    rejected: dict[str, Count]
+    """messages rejected so far, by reason"""
+    clock: ClockMode
+    """source of vehicle time in the controller"""
+    clock_error_ns: Duration | None
+    """bound of the clock error; null: one-way, where it is unknown"""
+    clock_steps: Count = 0
+    """steps of the publishers' clocks so far"""
+    checkpoints_failed: Count = 0
+    """checkpoints that could not be written so far"""
+    authority: Authority
+    """source of the thrust commands"""
+    health: Health
+    """timeliness of the inputs of the controller"""
+    health_why: str = ""
+    """reason of the health; empty if it is nominal"""
+    mission_action: MissionAction = MissionAction.GO_ON
+    """action of the mission policy"""
+    error_m: Position | None
+    """horizontal distance of the newest estimate from the reference; null: no reference in force"""
+    progress: Share | None = None
+    """completed share of the reference; null if the reference has no end"""
+    arrived: bool = False
+    """the vehicle has come to the end of the reference, and not its target alone"""
+    inputs: tuple[InputReport, ...] = ()
+    """inputs whose age is monitored"""
+    source: SourceChoice = ""
+    """name of the source of the estimates in use; empty before the first"""
+    source_epoch: Identifier = 0
+    """epoch of that source; 0 before the first"""
+    rejected_epoch: Identifier = 0
+    """epoch of a second source that publishes on its key and is rejected; 0: none"""
+    rejected_estimates: Count = 0
+    """estimates of second sources rejected so far"""
 
 
 class ReferenceStart(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Time, position and motion of the vehicle at the start of a reference."""
 
-    t_ns: Annotated[Time, Meta(description="time at which the reference started")]
-    north_m: North
-    east_m: East
-    depth_m: Annotated[Depth, Meta(description="depth below the surface")]
-    heading_rad: Annotated[Angle, Meta(description="true heading, clockwise from north seen from above")]
-    velocity_mps: Annotated[tuple[Speed, Speed], Meta(description="over ground: north, east")]
+    t_ns: Time
+    """time at which the reference started"""
+    north_m: Position
+    """position north of the origin"""
+    east_m: Position
+    """position east of the origin"""
+    depth_m: Depth
+    """depth below the surface"""
+    heading_rad: Angle
+    """true heading, clockwise from north seen from above"""
+    velocity_mps: tuple[Speed, Speed]
+    """over ground: north, east"""
 
 
 class DisturbanceState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Belief of the disturbance observer, 12 states in the order of ``control/disturbance_filter.py``."""
 
-    mean: Annotated[
-        FilterStates,
-        Meta(
-            description="current's bias north, east (m/s); lever arm forward, starboard (m); logarithms of the factors "
-            "of mass ahead, abeam, inertia, drag ahead, abeam, in yaw; added Munk mass over mass; yaw moment over "
-            "inertia (rad/s2)"
-        ),
-    ]
-    covariance: Annotated[CovarianceMatrix, Meta(description="12 x 12, of these states")]
+    mean: FilterStates
+    """current's bias north, east (m/s); lever arm forward, starboard (m); logarithms of the factors of mass ahead,
+    abeam, inertia, drag ahead, abeam, in yaw; added Munk mass over mass; yaw moment over inertia (rad/s2)
+    """
+    covariance: CovarianceMatrix
+    """12 x 12, of these states"""
 
 
 class MissionState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """State of the mission policy: start of the mission, last sign of the operator, and the action in force."""
 
-    start_t_ns: Annotated[Time | None, Meta(description="start of the mission time; null: not armed yet")] = None
-    operator_t_ns: Annotated[Time | None, Meta(description="last sign of an operator; null: none yet")] = None
-    action: Annotated[MissionAction, Meta(description="action in force")] = MissionAction.GO_ON
-    why: Annotated[str, Meta(description="cause of the action; empty if it is to go on")] = ""
-    skipped: Annotated[
-        tuple[str, ...], Meta(description="names of causes without effect: a forced `arm` skipped them")
-    ] = ()
+    start_t_ns: Time | None = None
+    """start of the mission time; null: not armed yet"""
+    operator_t_ns: Time | None = None
+    """last sign of an operator; null: none yet"""
+    action: MissionAction = MissionAction.GO_ON
+    """action in force"""
+    why: str = ""
+    """cause of the action; empty if it is to go on"""
+    skipped: tuple[str, ...] = ()
+    """names of causes without effect: a forced `arm` skipped them"""
 
 
 class ControllerState(Message, frozen=True, kw_only=True, eq=False):
@@ -834,52 +902,48 @@ class ControllerState(Message, frozen=True, kw_only=True, eq=False):
     by the plan that is in force at that time, or from the checkpoint of --state.
     """
 
-    t_ns: PublicationTime
-    authority: Annotated[Authority, Meta(description="source of the thrust commands")] = Authority.DISARMED
-    reference_toml: Annotated[
-        ReferenceText,
-        Meta(description="current reference, in the format of a reference file; empty: the reference of the start"),
-    ] = ""
-    reference_start: Annotated[
-        ReferenceStart | None, Meta(description="start of the reference; null before it is in force")
-    ] = None
-    fence_toml: Annotated[ReferenceText, Meta(description="fence in force, as a fence file holds it; empty: none")] = ""
-    arm_continues: Annotated[
-        bool, Meta(description="the next arm continues the reference: a restart, and no operator, has disarmed")
-    ] = False
-    schedule_t_ns: Annotated[
-        Time, Meta(description="time at which schedule_s was valid: first knot of the last plan")
-    ] = 0
-    schedule_s: Annotated[ScheduleTime, Meta(description="time of the target on the schedule of the reference")] = 0.0
-    schedule_rate: Annotated[
-        Share, Meta(description="rate of schedule time to vehicle time; below 1 the target waits")
-    ] = 1.0
-    progress: ReferenceProgress = None
-    arrived: Arrived = False
-    depth_integral_N: Annotated[
-        Force, Meta(description="integral of the depth law: the vertical thrust that holds a depth")
-    ] = 0.0
-    plan_delays_ns: Annotated[
-        Durations, Meta(description="of the last plans: from the start of the cycle to arrival at the actuators")
-    ] = ()
-    cycle_times_ns: Annotated[Durations, Meta(description="of the last cycles: computing time alone")] = ()
-    disturbance: Annotated[
-        DisturbanceState | None, Meta(description="what the controller has learned of water and vehicle; null: nothing")
-    ] = None
-    model_products: Annotated[
-        ModelProductMatrix | None,
-        Meta(description="6 x 6 sums of products of missing impulse and of its five regressors"),
-    ] = None
-    thrust_shares: Annotated[
-        tuple[ThrustShare, ThrustShare],
-        Meta(description="share of the reported thrust that port and starboard deliver; below 1: a weak thruster"),
-    ] = (1.0, 1.0)
-    plan: Annotated[
-        Plan | None, Meta(description="last plan sent; after a restart, the plan in force at the actuators")
-    ] = None
-    estimate: Annotated[Estimate | None, Meta(description="newest estimate, of the vehicle's origin")] = None
-    source: Annotated[SourceChoice, Meta(description="name of the source that an operator has chosen; else empty")] = ""
-    mission: Annotated[MissionState, Meta(description="state of the mission policy")] = MissionState()
+    t_ns: Time
+    """time of publication"""
+    authority: Authority = Authority.DISARMED
+    """source of the thrust commands"""
+    reference_toml: ReferenceText = ""
+    """current reference, in the format of a reference file; empty: the reference of the start"""
+    reference_start: ReferenceStart | None = None
+    """start of the reference; null before it is in force"""
+    fence_toml: ReferenceText = ""
+    """fence in force, as a fence file holds it; empty: none"""
+    arm_continues: bool = False
+    """the next arm continues the reference: a restart, and no operator, has disarmed"""
+    schedule_t_ns: Time = 0
+    """time at which schedule_s was valid: first knot of the last plan"""
+    schedule_s: ScheduleTime = 0.0
+    """time of the target on the schedule of the reference"""
+    schedule_rate: Share = 1.0
+    """rate of schedule time to vehicle time; below 1 the target waits"""
+    progress: Share | None = None
+    """completed share of the reference; null if the reference has no end"""
+    arrived: bool = False
+    """the vehicle has come to the end of the reference, and not its target alone"""
+    depth_integral_N: Force = 0.0
+    """integral of the depth law: the vertical thrust that holds a depth"""
+    plan_delays_ns: Durations = ()
+    """of the last plans: from the start of the cycle to arrival at the actuators"""
+    cycle_times_ns: Durations = ()
+    """of the last cycles: computing time alone"""
+    disturbance: DisturbanceState | None = None
+    """what the controller has learned of water and vehicle; null: nothing"""
+    model_products: ModelProductMatrix | None = None
+    """6 x 6 sums of products of missing impulse and of its five regressors"""
+    thrust_shares: tuple[ThrustShare, ThrustShare] = (1.0, 1.0)
+    """share of the reported thrust that port and starboard deliver; below 1: a weak thruster"""
+    plan: Plan | None = None
+    """last plan sent; after a restart, the plan in force at the actuators"""
+    estimate: Estimate | None = None
+    """newest estimate, of the vehicle's origin"""
+    source: SourceChoice = ""
+    """name of the source that an operator has chosen; else empty"""
+    mission: MissionState = MissionState()
+    """state of the mission policy"""
 
 
 # --- written by the actuators ----------------------------------------------------------------------------------------
@@ -888,36 +952,32 @@ class ControllerState(Message, frozen=True, kw_only=True, eq=False):
 class Applied(Message, frozen=True, kw_only=True, eq=False):
     """Report of the actuators to the controller: the thrusts they deliver and the plan they follow."""
 
-    t_ns: Annotated[Time, Meta(description="time of validity and of publication")]
-    thrust_N: Annotated[Forces, Meta(description="delivered, after lag and saturation: port, starboard, vertical")]
-    command_N: Annotated[Forces, Meta(description="command in force: port, starboard, vertical")]
-    command_slew_N_per_s: Annotated[
-        ForceRates, Meta(description="largest rate of change of the command since the last report; 0: unknown")
-    ]
-    plan_epoch: Annotated[Identifier, Meta(description="epoch of the newest accepted plan; 0 before the first")]
-    plan_sequence: Annotated[
-        SequenceOrNone, Meta(description="sequence of the newest accepted plan; -1 before the first")
-    ]
-    plan_cycle_t_ns: Annotated[Time, Meta(description="cycle_t_ns of the newest accepted plan; 0 before the first")]
-    plan_received_t_ns: Annotated[Time, Meta(description="arrival of the newest accepted plan; 0 before the first")]
-    plan_late: Annotated[bool, Meta(description="that plan arrived after its own first knot: a deadline miss")]
-    plans_late: Annotated[Count, Meta(description="late plans so far")]
-    plans_rejected: Annotated[
-        Count,
-        Meta(description="plans rejected so far: outside box or slew limit, out of order, or of a second controller"),
-    ]
-    health: Annotated[
-        Health,
-        Meta(
-            description="timeliness of the plans: degraded if two are missing, failsafe after the end of the last one"
-        ),
-    ] = Health.NOMINAL
-    why: Annotated[
-        str,
-        Meta(
-            max_length=200, description="why the plans are not followed, such as a released autopilot; empty: they are"
-        ),
-    ] = ""
+    t_ns: Time
+    """time of validity and of publication"""
+    thrust_N: Forces
+    """delivered, after lag and saturation: port, starboard, vertical"""
+    command_N: Forces
+    """command in force: port, starboard, vertical"""
+    command_slew_N_per_s: ForceRates
+    """largest rate of change of the command since the last report; 0: unknown"""
+    plan_epoch: Identifier
+    """epoch of the newest accepted plan; 0 before the first"""
+    plan_sequence: SequenceOrNone
+    """sequence of the newest accepted plan; -1 before the first"""
+    plan_cycle_t_ns: Time
+    """cycle_t_ns of the newest accepted plan; 0 before the first"""
+    plan_received_t_ns: Time
+    """arrival of the newest accepted plan; 0 before the first"""
+    plan_late: bool
+    """that plan arrived after its own first knot: a deadline miss"""
+    plans_late: Count
+    """late plans so far"""
+    plans_rejected: Count
+    """plans rejected so far: outside box or slew limit, out of order, or of a second controller"""
+    health: Health = Health.NOMINAL
+    """timeliness of the plans: degraded if two are missing, failsafe after the end of the last one"""
+    why: Annotated[str, Meta(max_length=200)] = ""
+    """why the plans are not followed, such as a released autopilot; empty: they are"""
 
 
 # --- written by the vehicle's monitors of battery and leaks -----------------------------------------------------------
@@ -926,14 +986,17 @@ class Applied(Message, frozen=True, kw_only=True, eq=False):
 class Battery(Message, frozen=True, kw_only=True, eq=False):
     """State of the battery. It has no time: the controller uses the time of arrival."""
 
-    voltage_V: Annotated[Voltage, Meta(description="voltage under the present load")]
-    remaining: Annotated[Share | None, Meta(description="remaining share of the energy; null: unknown")] = None
+    voltage_V: Voltage
+    """voltage under the present load"""
+    remaining: Share | None = None
+    """remaining share of the energy; null: unknown"""
 
 
 class Leak(Message, frozen=True, kw_only=True, eq=False):
     """State of the leak detectors. It has no time: the controller uses the time of arrival."""
 
-    detected: Annotated[bool, Meta(description="water in the hull")]
+    detected: bool
+    """water in the hull"""
 
 
 # --- written by the operator: commands to the controller, disturbances and faults for a simulation --------------------
@@ -957,26 +1020,27 @@ class Action(enum.StrEnum):
 class Command(Message, frozen=True, kw_only=True, eq=False):
     """Command of an operator. The controller replies with an ``Acknowledgement`` of the same ``command_id``."""
 
-    command_id: Annotated[
-        Identifier, Meta(description="chosen by the sender, repeated in the reply; 48 random bits are unique")
-    ]
-    action: Annotated[Action, Meta(description="requested action")]
-    reference_toml: Annotated[ReferenceText, Meta(description="for follow: contents of a reference file, TOML")] = ""
-    fence_toml: Annotated[
-        ReferenceText, Meta(description="for fence: contents of a fence file, TOML; empty: no fence from now on")
-    ] = ""
-    force: Annotated[bool, Meta(description="for arm: arm although pre-arm checks fail")] = False
-    source: Annotated[
-        SourceChoice,
-        Meta(description="for source: its name, `default` for the plain key; empty: the order of the settings"),
-    ] = ""
+    command_id: Identifier
+    """chosen by the sender, repeated in the reply; 48 random bits are unique"""
+    action: Action
+    """requested action"""
+    reference_toml: ReferenceText = ""
+    """for follow: contents of a reference file, TOML"""
+    fence_toml: ReferenceText = ""
+    """for fence: contents of a fence file, TOML; empty: no fence from now on"""
+    force: bool = False
+    """for arm: arm although pre-arm checks fail"""
+    source: SourceChoice = ""
+    """for source: its name, `default` for the plain key; empty: the order of the settings"""
 
 
 class Obstacles(Message, frozen=True, kw_only=True, eq=False):
     """Reports of obstacles, of any source (AIS, sonar). An obstacle that is not reported again is dropped when old."""
 
-    t_ns: PublicationTime
-    obstacles: Annotated[tuple[Obstacle, ...], Meta(max_length=64, description="some or all obstacles")]
+    t_ns: Time
+    """time of publication"""
+    obstacles: Annotated[tuple[Obstacle, ...], Meta(max_length=64)]
+    """some or all obstacles"""
 
 
 class Heartbeat(Message, frozen=True, kw_only=True, eq=False):
@@ -986,14 +1050,17 @@ class Heartbeat(Message, frozen=True, kw_only=True, eq=False):
 class Manual(Message, frozen=True, kw_only=True, eq=False):
     """Thrusts that a pilot requests. They are valid for 1 s after arrival, then the thrusts return to zero."""
 
-    thrust_N: Annotated[Forces, Meta(description="requested: port, starboard, vertical; valid for 1 s after arrival")]
+    thrust_N: Forces
+    """requested: port, starboard, vertical; valid for 1 s after arrival"""
 
 
 class ClockCommand(Message, frozen=True, kw_only=True, eq=False):
     """Command to pause vehicle time or change its speed. The simulated vehicle, which keeps the time, reads it."""
 
-    paused: Annotated[bool, Meta(description="vehicle time stands still")]
-    speed: Annotated[SpeedOfTime, Meta(description="vehicle seconds per wall second")]
+    paused: bool
+    """vehicle time stands still"""
+    speed: SpeedOfTime
+    """vehicle seconds per wall second"""
 
 
 class Disturbance(Message, frozen=True, kw_only=True, eq=False):
@@ -1002,18 +1069,21 @@ class Disturbance(Message, frozen=True, kw_only=True, eq=False):
     It acts from its arrival until ``end_t_ns`` and replaces the one before it. No process aboard the vehicle reads it.
     """
 
-    end_t_ns: Annotated[Time, Meta(description="vehicle time at which it ends")]
-    thrust_scale: Annotated[
-        Shares, Meta(description="ratio of delivered thrust to that of the propellers: port, starboard, vertical")
-    ] = (1.0, 1.0, 1.0)
-    force_N: Annotated[Forces, Meta(description="on the vehicle: north, east, down")] = (0.0, 0.0, 0.0)
-    yaw_moment_Nm: Annotated[Moment, Meta(description="about down, positive to starboard")] = 0.0
+    end_t_ns: Time
+    """vehicle time at which it ends"""
+    thrust_scale: Shares = (1.0, 1.0, 1.0)
+    """ratio of delivered thrust to that of the propellers: port, starboard, vertical"""
+    force_N: Forces = (0.0, 0.0, 0.0)
+    """on the vehicle: north, east, down"""
+    yaw_moment_Nm: Moment = 0.0
+    """about down, positive to starboard"""
 
 
 class Kill(Message, frozen=True, kw_only=True, eq=False):
     """Command to the supervisor of a simulation to kill one process, to test the reaction of the others."""
 
-    node: Annotated[str, Meta(description="node whose process is killed")]
+    node: str
+    """node whose process is killed"""
 
 
 # --- written by every process: status, events, rejected frames, a record of each step --------------------------------
@@ -1022,21 +1092,30 @@ class Kill(Message, frozen=True, kw_only=True, eq=False):
 class NodeStatus(Message, frozen=True, kw_only=True, eq=False):
     """Status of one process: readiness, counters, and what it waits for."""
 
-    node: Publisher
-    t_ns: PublicationTime
-    ready: Annotated[bool, Meta(description="the node can do its work")]
-    waiting_for: Annotated[str, Meta(description="what the node waits for; empty if nothing")]
-    steps: Annotated[Count, Meta(description="steps so far")]
-    published: Annotated[Count, Meta(description="messages published so far, on all keys")]
-    received: Annotated[Count, Meta(description="messages accepted so far")]
-    dropped: Annotated[Count, Meta(description="messages lost so far, by gaps in the sequences")]
-    rejected: Annotated[Count, Meta(description="messages rejected so far")]
-    step_us: Annotated[WallTime, Meta(description="mean wall time of a step since the last status")]
-    min_queue_delay_us: Annotated[
-        WholeWallTime,
-        Meta(description="smallest wall time that a message waited since the last status; above 0: a standing queue"),
-    ] = 0
-    finished: Annotated[bool, Meta(description="the node has done all its work; this is its last status")] = False
+    node: str
+    """node that publishes this message"""
+    t_ns: Time
+    """time of publication"""
+    ready: bool
+    """the node can do its work"""
+    waiting_for: str = ""
+    """what the node waits for; empty if nothing"""
+    steps: Count = 0
+    """steps so far"""
+    published: Count
+    """messages published so far, on all keys"""
+    received: Count = 0
+    """messages accepted so far"""
+    dropped: Count = 0
+    """messages lost so far, by gaps in the sequences"""
+    rejected: Count = 0
+    """messages rejected so far"""
+    step_us: WallTime = 0.0
+    """mean wall time of a step since the last status"""
+    min_queue_delay_us: WholeWallTime = 0
+    """smallest wall time that a message waited since the last status; above 0: a standing queue"""
+    finished: bool = False
+    """the node has done all its work; this is its last status"""
 
 
 class NodeSettings(Message, frozen=True, kw_only=True, eq=False):
@@ -1045,62 +1124,85 @@ class NodeSettings(Message, frozen=True, kw_only=True, eq=False):
     The process publishes them at its start, at its first step and every 10 s: a recorder may start before or after it.
     """
 
-    node: Publisher
-    files: Annotated[dict[str, str], Meta(description="settings files by path, such as config/vehicle.toml")]
-    made_by: Annotated[dict[str, str], Meta(description="versions, commit and processor")]
+    node: str
+    """node that publishes this message"""
+    files: dict[str, str]
+    """settings files by path, such as config/vehicle.toml"""
+    made_by: dict[str, str]
+    """versions, commit and processor"""
 
 
 class RunEvent(Message, frozen=True, kw_only=True, eq=False):
     """Event to be marked on the time axis: a phase, a loss, a restart."""
 
-    t_ns: Annotated[Time, Meta(description="time of the event")]
-    node: Publisher
-    kind: Annotated[str, Meta(description="kind of the event, one word")]
-    text: Annotated[str, Meta(description="description of the event")]
+    t_ns: Time
+    """time of the event"""
+    node: str
+    """node that publishes this message"""
+    kind: str
+    """kind of the event, one word"""
+    text: str
+    """description of the event"""
 
 
 class RejectedFrame(Message, frozen=True, kw_only=True, eq=False):
     """Frame that the message validation of a node rejected."""
 
-    t_ns: Annotated[Time, Meta(description="time of arrival")]
-    node: Publisher
-    key: Key
-    reason: Annotated[str, Meta(description="reason of the rejection, with the field and its bound")]
-    crc: Crc
-    payload_base64: Annotated[str, Meta(description="first bytes of the frame, at most 3072")]
+    t_ns: Time
+    """time of arrival"""
+    node: str
+    """node that publishes this message"""
+    key: str
+    """key of the message, without the namespace"""
+    reason: str
+    """reason of the rejection, with the field and its bound"""
+    crc: Identifier
+    """CRC-32 of the payload"""
+    payload_base64: str
+    """first bytes of the frame, at most 3072"""
 
 
 class InboxEntry(msgspec.Struct, frozen=True, array_like=False, kw_only=True, forbid_unknown_fields=True):
     """Reference to one message in the inbox of a step, sufficient to find its frame in the recording."""
 
-    key: Key
-    epoch: Annotated[Identifier, Meta(description="epoch in the header of the message")]
-    sequence: Annotated[Count, Meta(description="sequence in the header of the message")]
-    crc: Crc
-    received_t_ns: Annotated[Time, Meta(description="time of arrival")]
-    shift_ns: Annotated[
-        Time, Meta(description="vehicle time minus the time of its publisher, added to the times in the message")
-    ] = 0
+    key: str
+    """key of the message, without the namespace"""
+    epoch: Identifier
+    """epoch in the header of the message"""
+    sequence: Count
+    """sequence in the header of the message"""
+    crc: Identifier
+    """CRC-32 of the payload"""
+    received_t_ns: Time
+    """time of arrival"""
+    shift_ns: Time = 0
+    """vehicle time minus the time of its publisher, added to the times in the message"""
 
 
 class RecordedStep(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One step of a node: all that it received."""
 
-    t_ns: Annotated[Time, Meta(description="time of the step")]
-    cause: Annotated[str, Meta(description="grid, cycle, or the key of the message that caused the step")]
-    inbox: Annotated[tuple[InboxEntry, ...], Meta(description="messages that the step received, in order")]
-    shift_ns: Annotated[
-        Time, Meta(description="time of the actuators minus vehicle time, added to the times in the outputs")
-    ] = 0
+    t_ns: Time
+    """time of the step"""
+    cause: str
+    """grid, cycle, or the key of the message that caused the step"""
+    inbox: tuple[InboxEntry, ...]
+    """messages that the step received, in order"""
+    shift_ns: Time = 0
+    """time of the actuators minus vehicle time, added to the times in the outputs"""
 
 
 class StepRecord(Message, frozen=True, kw_only=True, eq=False):
     """Record of consecutive steps of a node, published before their outputs. An exact replay needs it."""
 
-    node: Publisher
-    epoch: Annotated[Identifier, Meta(description="epoch of the node, as in its headers")]
-    step: Annotated[Count, Meta(description="number of the first step; the node's first one has number 0")]
-    steps: Annotated[tuple[RecordedStep, ...], Meta(description="the steps, in order")]
+    node: str
+    """node that publishes this message"""
+    epoch: Identifier
+    """epoch of the node, as in its headers"""
+    step: Count
+    """number of the first step; the node's first one has number 0"""
+    steps: tuple[RecordedStep, ...]
+    """the steps, in order"""
 
 
 # --- written by the clock master -------------------------------------------------------------------------------------
@@ -1121,16 +1223,21 @@ class Clock(Message, frozen=True, kw_only=True, eq=False):
     CLOCK_MONOTONIC of the host in microseconds: below 2^53 for 285 years, so every language reads them exactly.
     """
 
-    clock_epoch: Annotated[Identifier, Meta(description="identifies one start of the clock master")]
-    clock_sequence: Annotated[Count, Meta(description="number of the announcement; a repetition keeps its number")]
-    host_boot_id: Annotated[
-        str, Meta(description="boot of the host of the clock master; monotonic times are comparable within one boot")
-    ]
-    at_monotonic_us: Annotated[MonotonicTime, Meta(description="CLOCK_MONOTONIC from which this relation holds")]
-    vehicle_ns: Annotated[Time, Meta(description="vehicle time at that instant")]
-    speed_num: Annotated[PositiveInteger, Meta(description="speed in force, numerator")]
-    speed_den: Annotated[PositiveInteger, Meta(description="speed in force, denominator")]
-    requested_speed: Annotated[
-        SpeedOfTime, Meta(description="requested vehicle seconds per wall second; the speed in force may be lower")
-    ]
-    state: Annotated[ClockState, Meta(description="state of vehicle time from then on")]
+    clock_epoch: Identifier
+    """identifies one start of the clock master"""
+    clock_sequence: Count
+    """number of the announcement; a repetition keeps its number"""
+    host_boot_id: str
+    """boot of the host of the clock master; monotonic times are comparable within one boot"""
+    at_monotonic_us: MonotonicTime
+    """CLOCK_MONOTONIC from which this relation holds"""
+    vehicle_ns: Time
+    """vehicle time at that instant"""
+    speed_num: PositiveInteger
+    """speed in force, numerator"""
+    speed_den: PositiveInteger
+    """speed in force, denominator"""
+    requested_speed: SpeedOfTime
+    """requested vehicle seconds per wall second; the speed in force may be lower"""
+    state: ClockState
+    """state of vehicle time from then on"""

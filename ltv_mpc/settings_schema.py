@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from typing import Any, TypeAlias
 
@@ -46,6 +46,22 @@ def field_names(kind: Type | None) -> tuple[str, ...]:
 def scalar_fields(kind: Any) -> dict[str, Type]:
     """Return all scalar fields of nested structs by dotted key, ``{"water.sd_mps": FloatType(...), ...}``."""
     return dict(_leaves(inspect.type_info(kind), ""))
+
+
+def flat(table: Mapping[str, Any], under: str = "", whole: str = "") -> dict[str, Any]:
+    """Return the values of nested tables by dotted key.
+
+    Parameters
+    ----------
+    table : settings or results, without structs.
+    under : beginning of the keys.
+    whole : a table with this key is a value.
+    """
+    found: dict[str, Any] = {}
+    for key, value in table.items():
+        is_table = isinstance(value, Mapping) and whole not in value
+        found |= flat(value, f"{under}{key}.", whole) if is_table else {f"{under}{key}": value}
+    return found
 
 
 def closest_name(name: str, names: Iterable[str]) -> str | None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Callable, Iterator, Mapping
-from functools import cache
+from functools import cache, lru_cache
 from typing import Any, NamedTuple, TypeAlias
 
 import msgspec
@@ -24,6 +24,7 @@ from ltv_mpc.messages import (
     BottomTrack,
     ControllerState,
     CurrentProfile,
+    DisturbanceState,
     DroppedGridPoint,
     Estimate,
     EstimatorState,
@@ -65,14 +66,14 @@ def validator(kind: type[msgspec.Struct]) -> Validator:
         "between": _between,
         "between_or_nan": _between_or_nan,
         "entry": _entry_outside,
-        "relation": RELATIONS.get(kind),
+        "relation": relation_reason,
     }
     lines = [
         line
         for name, field_type in _types(kind).items()
         for line in _checks(field_type, name, f"m.{name}", names, f"{kind.__name__}.")
     ]
-    lines.append("return relation(m)" if kind in RELATIONS else "return None")
+    lines.append("return relation(m)")
     exec("def check(m):\n" + "\n".join(f"    {line}" for line in lines), names)
     check: Validator = names["check"]
     return check
@@ -192,12 +193,34 @@ def _entry_outside(field: str, values: Array, limits: Bounds) -> str:
     return f"{field}{''.join(f'[{i}]' for i in place)} = {values[place]}: {limits.text}"
 
 
-# --- relations between the fields of one message, checked after their bounds ---------------------------------------
+# --- shapes of arrays, and relations between the fields of one message, checked after their bounds -------------------
 
 
-def _increases(values: Array | Times) -> bool:
-    """Return True if each entry is greater than the previous one, and none is NaN; counting is faster than ``all``."""
-    return bool(np.count_nonzero(values[1:] > values[:-1]) == len(values) - 1)
+def relation_reason(message: msgspec.Struct) -> Reason:
+    """Return the reason why the shapes or relations of a message, whose numbers may be any, are not valid, or None."""
+    kind, reason = type(message), None
+    if kind in SHAPES:
+        reason = _shape_reason(kind, *[getattr(getattr(message, field), "shape", None) for field in SHAPES[kind]])
+    return reason or (RELATIONS[kind](message) if kind in RELATIONS else None)
+
+
+@lru_cache
+def _shape_reason(kind: type, *shapes: tuple[int, ...] | None) -> Reason:
+    """Return the reason that names the first array of another shape; the first array of a letter says its number."""
+    sizes: dict[int | str, int] = {}
+    for (field, wanted), shape in zip(SHAPES[kind].items(), shapes, strict=True):
+        for size, number in zip(wanted, shape or (), strict=False):
+            sizes.setdefault(size, size if isinstance(size, int) else max(number, LEAST[size]))
+        if shape not in (None, tuple(sizes.get(size) for size in wanted)):
+            known = ", ".join(f"{size} = {number}" for size, number in sizes.items() if isinstance(size, str))
+            return f"{field} {shape}: must be ({', '.join(map(str, wanted))}){known and f' with {known}'}"
+    return None
+
+
+def _increases(field: str, values: Array | Times) -> Reason:
+    """Return the reason unless each entry is greater than the previous one; counting is faster than ``all``."""
+    increasing = np.count_nonzero(values[1:] > values[:-1]) == len(values) - 1
+    return None if increasing else f"{field}: must increase"
 
 
 def _tdcp(s: TdcpFix) -> Reason:
@@ -211,27 +234,10 @@ def _imu(s: ImuSamples) -> Reason:
     return None if all(map(operator.lt, times, times[1:])) else "samples: t_ns must increase"
 
 
-def _adcp(s: AdcpPing) -> Reason:
-    if s.range_m.ndim != 1 or not len(s.range_m) or s.beam_velocity_mps.shape != (4, len(s.range_m)):
-        return f"range_m {s.range_m.shape}, beam_velocity_mps {s.beam_velocity_mps.shape}: must be (K,), (4, K)"
-    return None if _increases(s.range_m) else "range_m: must increase"
-
-
 def _bottom_track(s: BottomTrack) -> Reason:
-    if s.range_m.shape != (4,) or s.beam_velocity_mps.shape != (4,):
-        return f"range_m {s.range_m.shape}, beam_velocity_mps {s.beam_velocity_mps.shape}: must be (4,), (4,)"
     if np.count_nonzero(np.isnan(s.range_m) != np.isnan(s.beam_velocity_mps)):
         return "range_m, beam_velocity_mps: must be null for the same beams"
     return None
-
-
-def _profile(s: CurrentProfile) -> Reason:
-    shape = s.depth_m.shape
-    if len(shape) != 1 or not shape[0] or s.north_mps.shape != shape or s.east_mps.shape != shape:
-        return "depth_m, north_mps, east_mps: must be of one length, at least 1"
-    if s.sd_mps is not None and s.sd_mps.shape != shape:
-        return "sd_mps: must have one entry for each depth"
-    return None if _increases(s.depth_m) else "depth_m: must increase"
 
 
 MAX_VERTICES = 500
@@ -242,16 +248,10 @@ INDEFINITE = 1e-6
 """Tolerances for rounding in the covariance of a filter, applied to correlations, because units differ by orders."""
 
 
-def _estimate(s: Estimate) -> Reason:
-    return None if s.covariance is None else _covariance(s.covariance, 6)
-
-
-def _covariance(P: Array, size: int) -> Reason:
-    if P.shape != (size, size):
-        return f"covariance {P.shape}: must be ({size}, {size})"
-    if (
-        P.tobytes() == P.T.tobytes() and dpotrf(P, lower=1, clean=0)[1] == 0
-    ):  # the usual case: exactly symmetric and positive definite
+def _covariance(s: Estimate | DisturbanceState) -> Reason:
+    P = s.covariance
+    # the usual case: exactly symmetric and positive definite
+    if P is None or (P.tobytes() == P.T.tobytes() and dpotrf(P, lower=1, clean=0)[1] == 0):
         return None
     variances = P.diagonal().tolist()
     if min(variances) < 0.0:
@@ -262,52 +262,17 @@ def _covariance(P: Array, size: int) -> Reason:
         R = P * scale * scale[:, None]
         if not abs(R - R.T).max() <= ASYMMETRY:
             return "covariance: must be symmetric"
-    _, info = dpotrf(R + INDEFINITE * np.eye(size), lower=1, clean=0, overwrite_a=1)
+    _, info = dpotrf(R + INDEFINITE * np.eye(len(P)), lower=1, clean=0, overwrite_a=1)
     return None if info == 0 else "covariance: must be positive semidefinite"
-
-
-def _plan(s: Plan) -> Reason:
-    knots = len(s.t_ns) if s.t_ns.ndim == 1 else 0
-    if knots < 2 or s.thrust_N.shape != (knots, 3) or s.states.shape != (knots, 6):
-        shapes = f"t_ns {s.t_ns.shape}, thrust_N {s.thrust_N.shape}, states {s.states.shape}"
-        return f"{shapes}: must be (N+1,), (N+1, 3), (N+1, 6), N at least 1"
-    return None if _increases(s.t_ns) else "t_ns: knots must increase"
-
-
-def _controller_state(s: ControllerState) -> Reason:
-    if s.model_products is not None and s.model_products.shape != (6, 6):
-        return f"model_products {s.model_products.shape}: must be (6, 6)"
-    if s.disturbance is None:
-        return None
-    mean, P = s.disturbance.mean, s.disturbance.covariance
-    if mean.shape != (12,):
-        return f"disturbance: mean {mean.shape}: must be (12,)"
-    reason = _covariance(P, 12)
-    return None if reason is None else f"disturbance: {reason}"
-
-
-def _dropped_grid_point(s: DroppedGridPoint) -> Reason:
-    q = s.conditioning_states.shape
-    if len(q) != 1 or s.regression.shape != (2, *q):
-        return f"conditioning_states {q}, regression {s.regression.shape}: must be (q,), (2, q)"
-    small = {
-        "covariance": s.covariance,
-        "position_cross_covariance": s.position_cross_covariance,
-        "position_covariance": s.position_covariance,
-    }
-    wrong = (f"{name} {matrix.shape}: must be (2, 2)" for name, matrix in small.items() if matrix.shape != (2, 2))
-    return next(wrong, None)
 
 
 def _estimator_state(s: EstimatorState) -> Reason:
     n = s.x.size
-    if s.x.ndim != 1 or s.covariance.shape != (n * (n + 1) // 2,):
+    if s.covariance.size != n * (n + 1) // 2:
         return f"x {s.x.shape}, covariance {s.covariance.shape}: must be (n,), (n (n + 1) / 2,)"
-    if s.attitude.shape != (3, 3) or s.mounting.shape != (3, 3):
-        return f"attitude {s.attitude.shape}, mounting {s.mounting.shape}: must be (3, 3)"
     if not (s.covariance[np.cumsum(np.arange(1, n + 1)) - 1] >= 0).all():
         return "covariance: its diagonal must not be negative"
-    return None if s.measured_grid_points.ndim == 1 else "measured_grid_points: must be a list"
+    return None
 
 
 def _obstacle(s: Obstacle) -> Reason:
@@ -318,24 +283,41 @@ def _obstacle(s: Obstacle) -> Reason:
 
 
 def _zone(s: ZoneInForce) -> Reason:
-    vertices = s.vertices_m
-    if vertices.ndim != 2 or vertices.shape[1] != 2 or not 1 <= len(vertices) <= MAX_VERTICES:
-        return f"vertices_m {vertices.shape}: must be (K, 2), K from 1 to {MAX_VERTICES}"
-    return None
+    K = len(s.vertices_m)
+    return None if K <= MAX_VERTICES else f"vertices_m: {K} vertices, at most {MAX_VERTICES}"
 
+
+Shape: TypeAlias = tuple[int | str, ...]
+LEAST = {"K": 1, "N + 1": 2, "n": 0, "m": 0, "q": 0}
+"""Smallest number that each letter of a shape may stand for."""
+
+SHAPES: Mapping[type, Mapping[str, Shape]] = {
+    AdcpPing: {"range_m": ("K",), "beam_velocity_mps": (4, "K")},
+    BottomTrack: {"range_m": (4,), "beam_velocity_mps": (4,)},
+    CurrentProfile: dict.fromkeys(("depth_m", "north_mps", "east_mps", "sd_mps"), ("K",)),
+    Estimate: {"covariance": (6, 6)},
+    Plan: {"t_ns": ("N + 1",), "thrust_N": ("N + 1", 3), "states": ("N + 1", 6)},
+    ControllerState: {"model_products": (6, 6)},
+    DisturbanceState: {"mean": (12,), "covariance": (12, 12)},
+    DroppedGridPoint: {"conditioning_states": ("q",), "regression": (2, "q")}
+    | dict.fromkeys(("covariance", "position_cross_covariance", "position_covariance"), (2, 2)),
+    EstimatorState: {"x": ("n",), "covariance": ("m",), "measured_grid_points": ("q",)}
+    | dict.fromkeys(("attitude", "mounting"), (3, 3)),
+    ZoneInForce: {"vertices_m": ("K", 2)},
+}
+"""Shapes of the arrays of each message type that has any."""
 
 RELATIONS: Mapping[type, Validator] = {
     TdcpFix: _tdcp,
     ImuSamples: _imu,
-    AdcpPing: _adcp,
+    AdcpPing: lambda s: _increases("range_m", s.range_m),
     BottomTrack: _bottom_track,
-    CurrentProfile: _profile,
-    Estimate: _estimate,
-    Plan: _plan,
-    ControllerState: _controller_state,
-    DroppedGridPoint: _dropped_grid_point,
+    CurrentProfile: lambda s: _increases("depth_m", s.depth_m),
+    Estimate: _covariance,
+    Plan: lambda s: _increases("t_ns", s.t_ns),
+    DisturbanceState: _covariance,
     EstimatorState: _estimator_state,
     Obstacle: _obstacle,
     ZoneInForce: _zone,
 }
-"""Checks of relations between fields, by message type: shapes, order, covariances."""
+"""Checks of relations between fields, by message type: order, covariances."""

@@ -190,17 +190,17 @@ def run(
     progress(sum(len(task.run.faults) for task in tasks if task.name in store.keys))
     at_once = max(1, int(LOAD * (os.cpu_count() or 1) / CORES_A_RUN))
     # A few quick faults run in this process, because starting other processes takes longer.
-    for ways, workers, threads in ((("lockstep",), 1 if of.quick else None, False), (("bus", "node"), at_once, True)):
+    for ways, workers in ((("lockstep",), 1 if of.quick else None), (("bus", "node"), at_once)):
         here = [task for task in tasks if task.way in ways]
         missing = [task for task in here if task.name not in store.keys]
         alone = [] if of.quick or not missing else [Job(task, folder / task.name) for task in _alone(here)]
         alone = [job for job in alone if job.task.name not in store.keys]
-        for place, result in run_each(make, alone, workers=workers, threads=threads):
+        for place, result in run_each(make, alone, workers=workers):
             store.append(alone[place].task.name, result)
             remove(alone[place].folder)
         baselines = {} if of.quick else without_faults(store)
         jobs = [Job(task, folder / task.name, baselines.get(task.baseline)) for task in missing]
-        for place, seen in run_each(make, jobs, workers=workers, threads=threads):
+        for place, seen in run_each(make, jobs, workers=workers):
             store.append(jobs[place].task.name, seen)
             progress(len(jobs[place].task.run.faults))
             if not any(one.problems for one in seen):

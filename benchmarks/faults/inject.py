@@ -20,6 +20,8 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
+from benchmarks.faults.effects import Interval
+from benchmarks.faults.message_faults import MessageFault, MessageFaultInterval, MessageFaults
 from ltv_mpc import config
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Clock, ImuSample, ImuSamples, Message, RunEvent
@@ -36,8 +38,6 @@ from services.runtime.clock import ClockError, VehicleClock, monotonic_us
 from services.runtime.console import Console
 from services.runtime.serve import run_until_stopped
 from services.runtime.stopping import Say, StopRequest
-from sim.faults.interval import Interval
-from sim.faults.message_faults import MessageFault, MessageFaultInterval, MessageFaults
 from sim.scheduler import Delivery
 
 NAME = "inject"

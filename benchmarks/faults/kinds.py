@@ -1,7 +1,7 @@
 """Fault classes: effect, target, duration and size, and the bound on what a loss may do.
 
 Sizes are drawn from ``size``. Their meaning depends on the class: a share of the messages, seconds, or a factor; see
-``sim/faults``. Durations are in vehicle seconds. ``reactions.py`` has the reactions that are required.
+``effects.py``. Durations are in vehicle seconds. ``reactions.py`` has the reactions that are required.
 """
 
 from __future__ import annotations

@@ -10,9 +10,22 @@ import numpy as np
 
 from benchmarks.faults import world
 from benchmarks.faults.draw import Run
+from benchmarks.faults.effects import (
+    Antenna,
+    Interval,
+    RestartedNode,
+    SecondSource,
+    SolverClock,
+    SolverFault,
+    SolverFaultInterval,
+    TimedNode,
+    faulty_solvers,
+)
 from benchmarks.faults.kinds import INSTRUMENTS, MESSAGES, Fault
 from benchmarks.faults.log import INTRUDERS_EPOCH, Case, Log, Observed, lost_between
+from benchmarks.faults.message_faults import MessageFault, MessageFaultInterval, MessageFaults
 from benchmarks.faults.own_clock import ClockStepFault, OwnClock
+from benchmarks.faults.sensor_faults import Failure, FaultySensors, SensorFault
 from ltv_mpc.messages import Disturbance, Message
 from ltv_mpc.node import Node, ReceivedMessage
 from ltv_mpc.validation import rejection_reason
@@ -24,13 +37,6 @@ from services.bus.message_validation import MessageValidator
 from services.run.nodes import make_nodes
 from services.run.run_config import Override, RunConfig, resolve
 from services.tools import lockstep_run
-from sim.faults.antenna import Antenna
-from sim.faults.interval import Interval
-from sim.faults.message_faults import MessageFault, MessageFaultInterval, MessageFaults
-from sim.faults.restarted_node import RestartedNode
-from sim.faults.second_source import SecondSource
-from sim.faults.sensor_faults import Failure, FaultySensors, SensorFault
-from sim.faults.solver_faults import SolverClock, SolverFault, SolverFaultInterval, TimedNode, faulty_solvers
 from sim.scheduler import EPOCH, Delivery, LockStep, Observation
 
 SCENARIO = "hover"

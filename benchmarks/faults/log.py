@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from benchmarks.faults.effects import SECOND_EPOCH
 from benchmarks.faults.kinds import Fault
 from ltv_mpc.messages import (
     Applied,
@@ -27,7 +28,6 @@ from ltv_mpc.messages import (
 )
 from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.vehicle.parameters import Vehicle
-from sim.faults import second_source
 from sim.scheduler import Step
 
 INTRUDERS_EPOCH = 7
@@ -102,7 +102,7 @@ class Log:
         self.received_estimates += [
             (a.received_t_ns, a.message.t_ns)
             for a in step.inbox
-            if isinstance(a.message, Estimate) and a.epoch != second_source.EPOCH
+            if isinstance(a.message, Estimate) and a.epoch != SECOND_EPOCH
         ]
         self.clock_steps += [a.received_t_ns for a in step.inbox if isinstance(a.message, ClockStep)]
 

@@ -11,12 +11,12 @@ from typing import NamedTuple
 
 import msgspec
 
+from benchmarks.faults.effects import Interval
 from ltv_mpc.messages import Applied, Estimate, Message, Plan
 from ltv_mpc.node import ReceivedMessage
 from services.bus.time_shift import shifted
 from services.runtime.clock import VehicleClock
 from services.runtime.clock_sync import ClockSync
-from sim.faults.interval import Interval
 from sim.scheduler import Delivery
 
 PUBLISHERS = {Estimate: 101, Applied: 102}

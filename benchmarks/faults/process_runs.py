@@ -33,6 +33,7 @@ from benchmarks.faults import inject
 from benchmarks.faults.draw import Run
 from benchmarks.faults.kinds import Fault
 from benchmarks.faults.lockstep import SCENARIO, run_config
+from benchmarks.faults.message_faults import MessageFault
 from benchmarks.faults.recorded import Injected
 from benchmarks.processes import Process, Started, await_router, children, end
 from ltv_mpc.messages import Clock, ClockState
@@ -45,7 +46,6 @@ from services.processes import plant
 from services.run import folder as run_folder
 from services.runtime.clock import ClockError, VehicleClock, monotonic_us
 from services.supervisor import entry_point, loopback, process_table
-from sim.faults.message_faults import MessageFault
 
 SPEED = 2.0
 """Vehicle seconds per wall second."""

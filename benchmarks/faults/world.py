@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from benchmarks.faults.effects import Interval
 from ltv_mpc.messages import Disturbance, Message, Plan, PlanOrigin, Solve, SolveStatus, Triple
 from ltv_mpc.node import Grid, Inbox
 from ltv_mpc.vehicle.parameters import Vehicle
-from sim.faults.interval import Interval
 
 PERIOD_NS = 100_000_000
 

@@ -1,1 +1,1 @@
-"""Study of fences: random scenes, flown by the controller and by its rivals (docs/notes/fences-study.md)."""
+"""Study of fences: random scenes, flown by the controller (docs/notes/fences-study.md)."""

@@ -1,4 +1,4 @@
-"""Fences in random scenes: violations and arrivals, beside the rivals.
+"""Fences in random scenes: violations and arrivals.
 
     .venv/bin/python -m benchmarks.fences --out DIR [--scenes N] [--moving N] [--methods NAME ...] [--report-s S]
         [--workers N]
@@ -10,15 +10,11 @@ obstacle crosses the lane instead, reported every 10 s or ``--report-s``. The ve
 its clearance is taken every 0.1 s. Methods:
 
     fence   the controller with the fence
-    hard    the controller with one QP a cycle, in which the fence's rows are hard, solved by PIQP
-    bent    the controller, with waypoints round the grown zones as its reference, and no fence
-    pid     heading and surge to the same waypoints, by a cascade of P laws
-    ipopt   the controller with the fence; each of its problems is solved to convergence by CasADi and IPOPT
     sensors the whole loop with realistic sensors, of the vehicles that dive; the clearance is that of the true vehicle
 
 A scene counts as violated if the hull is in a zone at any time, and as arrived if the vehicle has come within its
 length scale of the point. Scenes that DIR has already are not flown again; ``--minutes`` ends a call early, and the
-next one continues. docs/notes/fences-study.md has the results, and names the other commands of the study.
+next one continues. docs/notes/fences-study.md has the results, also of rivals.
 """
 
 from __future__ import annotations
@@ -27,20 +23,17 @@ import argparse
 import math
 import time
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from rich.console import Console
-from rich.progress import Progress
 
-from benchmarks.fences.flight import METHODS, MODELS, REPORT_S, Job, fly
+from benchmarks.batch import keep_each
+from benchmarks.fences.flight import METHODS, MODELS, REPORT_S, Flown, Job, fly
 from benchmarks.fences.full_loop import DIVING
 from benchmarks.fences.scenes import scene_of
-from services.tools.batch.executor import run_each
-from services.tools.batch.results_store import open_store
+from services.tools.batch.results_store import decode, open_store
 
 
-def table(found: dict[str, dict[str, Any]]) -> str:
+def table(found: dict[str, Flown]) -> str:
     """Return the table of violations and arrivals by method."""
     lines = [
         "| scenes | method | flown | violated | least clearance (m) | depth in a margin, 95 % (m) | arrived | "
@@ -50,13 +43,13 @@ def table(found: dict[str, dict[str, Any]]) -> str:
     for kind in sorted({key.rsplit(" ", 2)[0] for key in found}, reverse=True):
         for method in METHODS:
             flown = [row for key, row in found.items() if key.startswith(f"{kind} {method} ")]
-            flown = [row for row in flown if math.isfinite(row["clearance_m"])]
+            flown = [row for row in flown if math.isfinite(row.clearance_m)]
             if not flown:
                 continue
-            least = np.array([row["clearance_m"] for row in flown])
-            entered = np.quantile([row["entered_m"] for row in flown], 0.95)
-            times = [row["duration_s"] for row in flown if row["arrived"]]
-            unsolved, cycles = sum(len(row["unsolved_s"]) for row in flown), sum(row["cycles"] for row in flown)
+            least = np.array([row.clearance_m for row in flown])
+            entered = np.quantile([row.entered_m for row in flown], 0.95)
+            times = [row.duration_s for row in flown if row.arrived]
+            unsolved, cycles = sum(len(row.unsolved_s) for row in flown), sum(row.cycles for row in flown)
             lines.append(
                 f"| {kind} | {method} | {len(flown)} | {(least < 0.0).sum()} | {least.min():.3f} | "
                 f"{entered:.3f} | {len(times)} | {np.median(times) if times else math.nan:.0f} | "
@@ -65,37 +58,16 @@ def table(found: dict[str, dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
-def remarkable(found: dict[str, dict[str, Any]]) -> str:
+def remarkable(found: dict[str, Flown]) -> str:
     """Return the flights with the fence that violated, did not arrive, or had a cycle that was not solved."""
     lines = []
     for key, row in sorted(found.items()):
-        if " fence " in key and (row["clearance_m"] < 0.0 or not row["arrived"] or row["unsolved_s"]):
-            first = f", first at {row['unsolved_s'][0]:.1f} s" if row["unsolved_s"] else ""
+        if " fence " in key and (row.clearance_m < 0.0 or not row.arrived or row.unsolved_s):
+            first = f", first at {row['unsolved_s'][0]:.1f} s" if row.unsolved_s else ""
             lines.append(
                 f"{key}: clearance {row['clearance_m']:.3f} m, {'arrived' if row['arrived'] else 'not arrived'} "
                 f"after {row['duration_s']:.0f} s, {len(row['unsolved_s'])} of {row['cycles']} cycles unsolved{first}"
             )
-    return "\n".join(lines)
-
-
-def against_ipopt(found: dict[str, dict[str, Any]]) -> str:
-    """Return arrivals and costs of the controller over those of the converged optimum, in the scenes of both."""
-    pairs = [(row, found.get(key.replace("ipopt", "fence"))) for key, row in found.items() if " ipopt " in key]
-    both = [(theirs, ours) for theirs, ours in pairs if ours is not None]
-    if not both:
-        return ""
-    arrived = [(theirs, ours) for theirs, ours in both if theirs["arrived"]]
-    also = [(theirs, ours) for theirs, ours in arrived if ours["arrived"]]
-    lines = [f"IPOPT arrives in {len(arrived)} of {len(both)}; the controller in {len(also)} of these"]
-    for same in (True, False):
-        some = [(theirs, ours) for theirs, ours in also if (theirs["sides"] == ours["sides"]) == same]
-        if some:
-            for name in ("cost", "duration_s", "way_m"):
-                low, middle, high = np.quantile([ours[name] / theirs[name] for theirs, ours in some], [0.05, 0.5, 0.95])
-                lines.append(
-                    f"{'same' if same else 'other'} sides, {len(some)} scenes, {name}: "
-                    f"ratio {middle:.3f} at the median, {low:.3f} to {high:.3f} in 90 %"
-                )
     return "\n".join(lines)
 
 
@@ -110,7 +82,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scenes", type=int, default=1000)
     parser.add_argument("--moving", type=int, default=300)
-    parser.add_argument("--methods", nargs="+", choices=METHODS, default=METHODS[:4])
+    parser.add_argument("--methods", nargs="+", choices=METHODS, default=METHODS[:1])
     parser.add_argument("--report-s", type=float, default=REPORT_S, help="time between two reports of an obstacle")
     parser.add_argument("--model", choices=MODELS, default="right", help="how the true vehicle differs from its file")
     parser.add_argument("--workers", type=int, default=1)
@@ -131,14 +103,16 @@ def main() -> None:
         if method != "sensors"
     ]
     end_s = time.monotonic() + 60.0 * options.minutes
-    with open_store(options.out, {"benchmark": "fences"}) as store, Progress(console=Console(stderr=True)) as progress:
-        missing = [job for job in jobs if _key(job) not in store.keys]
-        task = progress.add_task("flights", total=len(jobs), completed=len(jobs) - len(missing))
-        for place, flown in run_each(fly, missing, workers=options.workers, stop=lambda: time.monotonic() > end_s):
-            store.append(_key(missing[place]), flown._asdict())
-            progress.advance(task)
-        found = dict(store.results())
-    print("\n\n".join(text for text in (table(found), against_ipopt(found), remarkable(found)) if text))
+    with open_store(options.out, {"benchmark": "fences"}) as store:
+        keep_each(
+            fly,
+            {_key(job): job for job in jobs},
+            store,
+            workers=options.workers,
+            stop=lambda: time.monotonic() > end_s,
+        )
+        found = {key: decode(flown, Flown) for key, flown in store.results()}
+    print("\n\n".join(text for text in (table(found), remarkable(found)) if text))
 
 
 if __name__ == "__main__":

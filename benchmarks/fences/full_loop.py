@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.batch import Job
 from benchmarks.fences.scenes import Scene
-from benchmarks.lockstep_job import Job
 from ltv_mpc.config import to_toml
 from ltv_mpc.control.scaling import characteristic_scales
 from ltv_mpc.currents import write_profile

@@ -30,8 +30,6 @@ import msgspec
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from rich.console import Console
-from rich.progress import Progress
 
 from benchmarks import sheet
 from benchmarks.localisation_check import check
@@ -130,10 +128,8 @@ def main(words: Sequence[str] | None = None) -> int:
         with (
             tempfile.TemporaryDirectory() if out is None else nullcontext(out) as place,
             open_store(Path(place), made_of, force=options.force) as store,
-            Progress(console=Console(stderr=True)) as progress,
         ):
-            task = progress.add_task(f"{options.runs} runs of {options.scenario}", total=options.runs)
-            records = check.measure(jobs, store, progress=lambda count: progress.advance(task, count))
+            records = check.measure(jobs, store)
     except ConfigError as error:
         parser.error(str(error))
     result = check.result(records, jobs, wall_s=time.monotonic() - started)

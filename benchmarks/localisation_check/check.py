@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from types import SimpleNamespace
 from typing import NamedTuple
 
 import msgspec
 import numpy as np
 
+from benchmarks.batch import Job, keep_each
+from benchmarks.localisation_check.consistency import Consistency, band, consistency
 from benchmarks.localisation_check.judgement import (
     LEVEL,
     MIN_DRAWS,
@@ -21,11 +23,8 @@ from benchmarks.localisation_check.judgement import (
     p_of_share,
 )
 from benchmarks.localisation_check.probe import Record, Squares, descend
-from benchmarks.lockstep_job import Job
 from ltv_mpc.messages import Array
-from services.tools.batch.executor import run_each
 from services.tools.batch.results_store import ResultsStore, decode
-from sim.evaluation.consistency import Consistency, band, consistency
 
 MAX_RATIO = 1.2
 """Largest drift over bound."""
@@ -57,13 +56,9 @@ def jobs(scenario: str, settings: Sequence[str], *, first_seed: int, runs: int) 
     return made
 
 
-def measure(work: Sequence[Job], store: ResultsStore, *, progress: Callable[[int], None]) -> list[Record]:
-    """Return every run's record in the order of the jobs; ``progress`` receives the number of further runs done."""
-    missing = [job for job in work if _seed(job) not in store.keys]
-    progress(len(work) - len(missing))
-    for place, record in run_each(descend, missing):
-        store.append(_seed(missing[place]), record)
-        progress(1)
+def measure(work: Sequence[Job], store: ResultsStore) -> list[Record]:
+    """Return every run's record in the order of the jobs; those in the store are not made again."""
+    keep_each(descend, {_seed(job): job for job in work}, store)
     found = dict(store.results())
     return [decode(found[_seed(job)], Record) for job in work]
 

@@ -13,7 +13,8 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from benchmarks.lockstep_job import Job
+from benchmarks.batch import Job
+from benchmarks.localisation_check.consistency import GridProjection, TrueState, drawn, nees, nodes_around, squared
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.frames import rotation
 from ltv_mpc.localisation.estimator import Estimator
@@ -25,8 +26,6 @@ from ltv_mpc.node import Inbox, Node, ReceivedMessage
 from services.run.nodes import make_nodes
 from services.run.run_config import RunConfig
 from services.tools import lockstep_run
-from sim.evaluation.cells import GridProjection
-from sim.evaluation.consistency import TrueState, drawn, nees, nodes_around, squared
 from sim.evaluation.cramer_rao_bound import Trajectory, bound
 from sim.scheduler import LockStep, Observation
 from sim.sensors.adcp import Profiler, beams

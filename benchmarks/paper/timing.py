@@ -11,8 +11,7 @@ from benchmarks.paper.settings import COMPUTING_S, LONG_S
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.vehicle.parameters import Vehicle
-from services.reporting.plots.delays import CYCLE, PARTS, percentile_rows
-from services.reporting.plots.percentiles import Percentiles
+from services.reporting.plots.delays import CYCLE, PARTS, Percentiles, percentile_rows
 from services.tools.profile import problems
 from services.tools.profile.machine_description import Machine, load, machine
 from services.tools.profile.measure import Samples, SolverByName, measure
@@ -49,9 +48,7 @@ def timed(cycles: int, *, seed: int = 0, progress: Callable[[], None]) -> Timed:
         config = settled(ControllerConfig(horizon_s=horizon_s), VEHICLE)
         episodes = problems.simulated(config.stages, cycles, seed)
         warm_up = problems.simulated(config.stages, 1, seed)[0]._replace(cycles=min(WARM_UP, cycles))
-        (samples,) = measure(
-            episodes, [SOLVER], warm_up=warm_up, order=random.Random(seed), progress=lambda _: progress()
-        )
+        (samples,) = measure(episodes, [SOLVER], warm_up=warm_up, order=random.Random(seed), progress=progress)
         found.append(Cycle(horizon_s, config.reach_s, paper_s, Spread.of(samples.cycle_us), samples))
     return Timed(found, machine(before))
 

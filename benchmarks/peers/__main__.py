@@ -68,7 +68,7 @@ def compare(stages: int, cycles: int, seeds: int, console: Console) -> str:
             list(who),
             warm_up=episodes[0]._replace(cycles=WARM_UP),
             order=random.Random(0),
-            progress=lambda _: progress.advance(task),
+            progress=lambda: progress.advance(task),
         )
         task = progress.add_task("closed loops", total=len(who) * len(loops))
         held = {}

@@ -1,1 +1,1 @@
-"""Comparison of the controller with common alternatives, and with itself without one of its parts."""
+"""Common control laws that fly beside the controller, and the search by which each is tuned."""

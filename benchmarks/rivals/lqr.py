@@ -17,8 +17,7 @@ import math
 import numpy as np
 from scipy.linalg import expm, solve_discrete_are
 
-from benchmarks.rivals.law import PERIOD_NS
-from benchmarks.rivals.pid import nearer_axis
+from benchmarks.rivals.pid import PERIOD_S, nearer_axis
 from benchmarks.rivals.search import Span
 from ltv_mpc.control.prediction import currents_at_depths
 from ltv_mpc.frames import wrap_angle
@@ -81,12 +80,15 @@ class Lqr:
 
     def _gain(self, u: float, Q: Array, R: Array) -> Array:
         """Return the gain (2, 6) at the trim speed u (m/s), in axes along the trim's heading."""
-        A, B = np.zeros((6, 6)), np.zeros((6, 2))
-        dynamics.jacobian(np.array([0.0, 0.0, u, 0.0, 0.0, 0.0]), np.zeros(2), self._p, A)
+        trim, step = np.array([0.0, 0.0, u, 0.0, 0.0, 0.0, 0.0, 0.0]), 1e-6
+        ahead, behind = (
+            np.array([dynamics.rates(*at[2:], 0.0, 0.0, 0.0, 0.0, self._p) for at in trim + side * step * np.eye(8)])
+            for side in (1.0, -1.0)
+        )
+        A, B = np.split((ahead - behind).T / (2.0 * step), [6], axis=1)
         A[3, 3] = -(self._p.linear_sway + 2.0 * self._p.quadratic_sway * self._sway_mps) / self._p.mass_sway
-        dynamics.thrust_gain(self._p, B)
         B *= self._most_N
-        h = PERIOD_NS * 1e-9
+        h = PERIOD_S
         held = expm(h * np.block([[A, B], [np.zeros((2, 8))]]))  # the thrust is held for a period
         F, G = held[:6, :6], held[:6, 6:]
         S = solve_discrete_are(F, G, h * Q, h * R)

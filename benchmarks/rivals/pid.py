@@ -15,11 +15,13 @@ import math
 
 import numpy as np
 
-from benchmarks.rivals.law import PERIOD_NS
 from benchmarks.rivals.search import Span
 from ltv_mpc.frames import wrap_angle
 from ltv_mpc.messages import Array, Estimate, Pair
 from ltv_mpc.vehicle.parameters import Vehicle
+
+PERIOD_S = 0.1
+"""Time between two answers of a rival."""
 
 SPANS = {
     "kp": Span(5.0, 2000.0),  # N/m
@@ -54,7 +56,7 @@ class Pid:
         moment = k["k_psi"] * wrap_angle(self._heading_rad - psi) - k["k_r"] * estimate.yaw_rate_radps
         pair = 0.5 * along + moment / self._arms_m, 0.5 * along - moment / self._arms_m
         if all(abs(F) < most for F, most in zip(pair, self._most_N, strict=True)):
-            self._integral += e * PERIOD_NS * 1e-9
+            self._integral += PERIOD_S * e
         return pair
 
 

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
 
+from benchmarks.batch import in_order
 from benchmarks.robustness.cases import conditions
 from benchmarks.robustness.laws import Gains, pilot
 from benchmarks.strangers.flight import Conditions, Flight, Start, fly, load
 from benchmarks.strangers.tasks import SETTLING_S, TASKS, Figures, Task, figures, mean_figures, speed_mps
-from services.tools.batch.executor import run_each
 
 TASK_NAMES = ("hold", "square")
 FAR_M = 1000.0
@@ -69,11 +70,9 @@ def judged(job: Job) -> Figures:
 
 
 def run(
-    rows: Sequence[Row], laws: Sequence[str], gains: dict[str, Gains], starts: int, jobs: int | None
+    rows: Sequence[Row], laws: Sequence[str], gains: dict[str, Gains], starts: int, workers: int | None
 ) -> dict[Row, dict[str, Figures]]:
     """Fly all rows; return the figures by law, means over the starts."""
     todo = [Job(row, law, seed, gains[row.vehicle]) for row in rows for law in laws for seed in range(1, starts + 1)]
-    flights: dict[tuple[Row, str], list[Figures]] = {}
-    for place, found in sorted(run_each(judged, todo, workers=jobs)):
-        flights.setdefault((todo[place].row, todo[place].law), []).append(found)
-    return {row: {law: mean_figures(flights[row, law]) for law in laws} for row in rows}
+    flown = iter(in_order(judged, todo, workers=workers))
+    return {row: {law: mean_figures(list(islice(flown, starts))) for law in laws} for row in rows}

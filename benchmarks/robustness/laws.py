@@ -13,8 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from benchmarks.rivals.lqr import Lqr
+from benchmarks.rivals.pid import PERIOD_S
 from benchmarks.strangers.flight import Ours, Pilot
-from benchmarks.strangers.rival import PERIOD_S, Rival
+from benchmarks.strangers.rival import Rival
 from benchmarks.strangers.tasks import Corners, reference
 from ltv_mpc import ControllerConfig, Estimate, Vehicle
 from ltv_mpc.messages import Applied, Array, CurrentProfile, Pair

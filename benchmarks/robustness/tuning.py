@@ -21,12 +21,13 @@ from benchmarks.robustness.cases import RIGHT
 from benchmarks.robustness.flights import Job, Row, judged, task_of
 from benchmarks.robustness.laws import LQR, PID, Gains
 from benchmarks.strangers.rival import PATH_SPANS
-from benchmarks.strangers.tuning import ANY_POINT
 from services.tools.batch.executor import run_each
 
 FILE = Path(__file__).parent / "gains.toml"
 BUDGET, SEEDS = 64, (300, 301)
 WORST = 1e3
+ANY_POINT = {"kp": 50.0, "kd": 100.0, "ki": 0.1, "k_psi": 50.0, "k_r": 50.0, "hold_N": 1.0}
+"""Gains at the end of a path while those of the path are tuned."""
 
 
 class _Part(NamedTuple):

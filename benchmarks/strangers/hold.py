@@ -12,13 +12,12 @@ share of a figure is its value over its limit, and that of a row its largest one
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
+from benchmarks.batch import in_order
 from benchmarks.strangers.flight import FOREIGN, SHIPPED, Conditions, Ours, Start, fly, load
 from ltv_mpc.references import Point
-from services.tools.batch.executor import run_each
 
 TURN_DEG, NEEDED_TIMES, THRUST_SHARE, NOISE_THRUST_SHARE = 90.0, 1.3, 0.02, 0.15
 MARGIN_M, TOLERANCE_M = 0.1, 0.1
@@ -90,25 +89,14 @@ def judge(row: Row, seed: int) -> Figures:
     return Figures(turned, force, distance, max(turned / TURN_DEG, force / limit_N, distance / limit_m))
 
 
-class _Job(NamedTuple):
-    row: Row
-    seed: int
+def _judge(job: tuple[Row, int]) -> Figures:
+    return judge(*job)
 
 
-def _one(job: _Job) -> Figures:
-    return judge(job.row, job.seed)
-
-
-def fly_rows(rows: Sequence[Row], seeds: Iterable[int], jobs: int | None) -> dict[Row, list[Figures]]:
-    """Fly each row from each start, on some processes; the number of flights goes to standard error."""
-    todo = [_Job(row, seed) for row in rows for seed in seeds]
-    found: dict[Row, dict[int, Figures]] = {row: {} for row in rows}
-    for place, figures in run_each(_one, todo, workers=jobs):
-        found[todo[place].row][todo[place].seed] = figures
-        done = sum(map(len, found.values()))
-        if done % 100 == 0 or done == len(todo):
-            print(f"{done} of {len(todo)} flights", file=sys.stderr, flush=True)
-    return {row: [of[seed] for seed in sorted(of)] for row, of in found.items()}
+def fly_rows(rows: Sequence[Row], seeds: range, workers: int | None) -> dict[Row, list[Figures]]:
+    """Fly each row from each start, on some processes."""
+    flown = in_order(_judge, [(row, seed) for row in rows for seed in seeds], workers=workers)
+    return {row: flown[i * len(seeds) : (i + 1) * len(seeds)] for i, row in enumerate(rows)}
 
 
 def share(figures: Sequence[Figures]) -> float:
@@ -116,12 +104,12 @@ def share(figures: Sequence[Figures]) -> float:
     return max(one.share for one in figures)
 
 
-def run(*, quick: bool = False, starts: int = STARTS, jobs: int | None = None) -> dict[Row, list[Figures]]:
+def run(*, quick: bool = False, starts: int = STARTS, workers: int | None = None) -> dict[Row, list[Figures]]:
     """Fly the whole matrix from a few starts, and the worst rows from more."""
-    found = fly_rows(matrix(quick=quick), range(1 if quick else starts), jobs)
+    found = fly_rows(matrix(quick=quick), range(1 if quick else starts), workers)
     if not quick:
         worst = sorted(found, key=lambda row: -share(found[row]))[:WORST_ROWS]
-        for row, figures in fly_rows(worst, range(starts, WORST_STARTS), jobs).items():
+        for row, figures in fly_rows(worst, range(starts, WORST_STARTS), workers).items():
             found[row] += figures
     return found
 

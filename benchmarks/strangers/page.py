@@ -10,11 +10,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from benchmarks.batch import in_order
 from benchmarks.strangers.flight import FOREIGN
+from benchmarks.strangers.rival import gains_of
 from benchmarks.strangers.tasks import CONDITIONS, ONLY_OURS, TASKS, Figures, fly_task, mean_figures
-from benchmarks.strangers.tuning import gains_of
 from services.run.provenance import provenance_table
-from services.tools.batch.executor import run_each
 
 PAGE = Path("docs/notes/strangers.md")
 STARTS = 3
@@ -31,17 +31,12 @@ class Cell(NamedTuple):
     ours: bool
 
 
-class _Job(NamedTuple):
-    cell: Cell
-    seed: int
+def _fly(job: tuple[Cell, int]) -> Figures:
+    cell, seed = job
+    return fly_task(cell.hull, cell.task, CONDITIONS[cell.condition], seed, None if cell.ours else gains_of(cell.hull))
 
 
-def _one(job: _Job) -> Figures:
-    gains = None if job.cell.ours else gains_of(job.cell.hull)
-    return fly_task(job.cell.hull, job.cell.task, CONDITIONS[job.cell.condition], job.seed, gains)
-
-
-def run(*, starts: int = STARTS, jobs: int | None = None) -> dict[Cell, Figures]:
+def run(*, starts: int = STARTS, workers: int | None = None) -> dict[Cell, Figures]:
     """Fly the matrix from some starts."""
     cells = [
         Cell(hull, condition, task, ours)
@@ -50,11 +45,9 @@ def run(*, starts: int = STARTS, jobs: int | None = None) -> dict[Cell, Figures]
         for task in TASKS
         for ours in ((True,) if condition in ONLY_OURS else (True, False))
     ]
-    todo = [_Job(cell, seed) for cell in cells for seed in range(1, starts + 1)]
-    flights: dict[Cell, list[Figures]] = {cell: [] for cell in cells}
-    for place, found in sorted(run_each(_one, todo, workers=jobs)):
-        flights[todo[place].cell].append(found)
-    return {cell: mean_figures(of) for cell, of in flights.items()}
+    jobs = [(cell, seed) for cell in cells for seed in range(1, starts + 1)]
+    flown = in_order(_fly, jobs, workers=workers)
+    return {cell: mean_figures(flown[i * starts : (i + 1) * starts]) for i, cell in enumerate(cells)}
 
 
 def table(found: dict[Cell, Figures]) -> str:

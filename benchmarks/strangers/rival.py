@@ -7,18 +7,22 @@ Along a path  chi = course of the leg - atan((e + k_i I) / lookahead),  I' = loo
 e is the distance to starboard of the leg and u the speed over ground ahead. Near the end of a leg the next one is
 followed, and near the end of the path its PID holds that point. Where the course is off by more than a right angle the
 vehicle turns first.
-Source: Borhaug, Pavlov and Pettersen 2008; Fossen 2021, section 12.3. Gains are tuned once a hull: ``tuning.py``.
+Source: Borhaug, Pavlov and Pettersen 2008; Fossen 2021, section 12.3. Gains are tuned once a hull, as those of
+``benchmarks/robustness/tuning.py``.
 """
 
 from __future__ import annotations
 
 import math
+import tomllib
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from benchmarks.rivals import pid
+from benchmarks.rivals.pid import PERIOD_S
 from benchmarks.rivals.search import Span
 from ltv_mpc.frames import wrap_angle
 from ltv_mpc.messages import Applied, Array, Estimate, Pair
@@ -32,9 +36,14 @@ PATH_SPANS = {
     "k_u": Span(5.0, 500.0),  # N s/m
     "k_ui": Span(0.1, 100.0),  # N/m
 }
-PERIOD_S = 0.1
 SWITCH_M = 1.0
 """Distance from the end of a leg at which the next one begins."""
+
+
+def gains_of(hull: str) -> dict[str, dict[str, float]]:
+    """Return the tuned gains of a hull: of points and of paths."""
+    gains: dict[str, dict[str, float]] = tomllib.loads(Path(__file__).with_name("gains.toml").read_text())[hull]
+    return gains
 
 
 class Rival:

@@ -6,6 +6,7 @@ is the distance between its boundary and the hull that is kept free.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
@@ -17,7 +18,6 @@ from msgspec import Meta
 from ltv_mpc import config
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.geofence import fence_files, geojson
-from ltv_mpc.geofence.ring import ring_problem
 from ltv_mpc.messages import Array, ZoneInForce
 from ltv_mpc.references.base import BaseReference
 from ltv_mpc.references.geodesy import Origin, Place, local, origin_distance_m
@@ -29,6 +29,9 @@ MAX_ZONES = 100
 
 MAX_ORIGIN_DISTANCE_M = 1.0
 """Largest distance between the origins of a fence and a reference."""
+
+MIN_LENGTH_M = 1e-3
+"""Shortest edge of a ring."""
 
 GEOJSON = (".geojson", ".json")
 """Suffixes of a GeoJSON file; every other file is TOML."""
@@ -152,6 +155,30 @@ def _zone(label: str, of: Zone, vertices: Array, radius_m: float, margin_m: floa
         radius_m=float(radius_m),
         margin_m=float(margin_m if of.margin_m is None else of.margin_m),
     )
+
+
+def ring_problem(vertices: Array) -> str:
+    """Return what is wrong with a ring as text; empty for a simple polygon.
+
+    Parameters
+    ----------
+    vertices : (K, 2) north and east (m) of K >= 3 vertices; the last edge leads back to the first.
+    """
+    edges = np.roll(vertices, -1, axis=0) - vertices
+    short = np.flatnonzero(np.hypot(*edges.T) < MIN_LENGTH_M)
+    if len(short):
+        after = (int(short[0]) + 1) % len(vertices)
+        return f"vertices[{short[0]}] and vertices[{after}] are the same position"
+    import shapely  # takes a tenth of a second, and only a fence needs it
+
+    polygon = shapely.Polygon(vertices)
+    if polygon.is_valid:
+        return ""
+    place = shapely.Point(*map(float, re.findall(r"[-+.\de]+(?=[ \]])", shapely.is_valid_reason(polygon))))
+    lines = shapely.linestrings(np.stack([vertices, vertices + edges], axis=1))
+    first, second = sorted(np.argsort(shapely.distance(lines, place), kind="stable")[:2].tolist())
+    ends = [f"from vertices[{k}] to vertices[{(k + 1) % len(vertices)}]" for k in (first, second)]
+    return f"the ring crosses itself: the edge {ends[0]} meets that {ends[1]}"
 
 
 def fence_for(vehicle: Vehicle, reference: BaseReference, path: str, notes: list[str] | None = None) -> Fence | None:

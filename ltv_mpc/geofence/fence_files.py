@@ -17,7 +17,7 @@ from ltv_mpc import config
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.geofence.geojson import union
 from ltv_mpc.references.geodesy import Origin, degrees
-from ltv_mpc.references.mission_files import read_json, read_waypoints
+from ltv_mpc.references.mission_files import read_waypoints
 from ltv_mpc.references.mission_items import WAYPOINT, Item, command_name
 
 MARGIN_M, MAX_RADIUS_M = 1.0, 100_000.0
@@ -70,7 +70,7 @@ def read(path: Path, source: str, notes: list[str], origin: Origin | None) -> di
     text = config.read_text(path, what="fence")
     try:
         if kind == ".plan":
-            plan = read_json(text, source)
+            plan = config.parse_json(text, source)
             latitude, longitude = map(float, plan["mission"]["plannedHomePosition"][:2])
             origin, table = (
                 Origin(latitude_deg=latitude, longitude_deg=longitude),

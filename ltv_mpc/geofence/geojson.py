@@ -21,6 +21,7 @@ from typing import Any, TypeAlias
 
 import msgspec
 
+from ltv_mpc import config
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.references.geodesy import Origin, Place, degrees, local
 
@@ -51,11 +52,8 @@ def parse(content_text: str | bytes, source: str, notes: list[str]) -> tuple[dic
     source : name of the text in errors.
     notes : receives a sentence about coordinates that are not exactly those of WGS 84.
     """
-    try:
-        content = msgspec.json.decode(content_text)
-    except (msgspec.DecodeError, RecursionError) as error:
-        raise ConfigError(source, "", f"is not valid JSON: {error}") from None
-    if not isinstance(content, dict) or content.get("type") != "FeatureCollection":
+    content = config.parse_json(content_text, source)
+    if content.get("type") != "FeatureCollection":
         raise ConfigError(source, "type", 'must be "FeatureCollection"')
     features = content.get("features")
     if not isinstance(features, list):

@@ -17,7 +17,6 @@ import numpy as np
 import numpy.typing as npt
 
 from ltv_mpc.geofence.fence import Fence
-from ltv_mpc.geofence.ring import signed_area_m2
 from ltv_mpc.jit import jit, jit_outlined
 from ltv_mpc.messages import Array, FenceInForce
 
@@ -44,7 +43,9 @@ def pack_zones(fence: Fence | FenceInForce) -> Zones:
     rings, first, radii, margins, circles = [], [0], [], [], []
     for zone in fence.zones if isinstance(fence, FenceInForce) else fence.zones():
         ring = zone.vertices_m
-        if (signed_area_m2(ring) > 0.0) != zone.keep_in:
+        north, east = ring.T
+        runs_clockwise = north @ np.roll(east, -1) > east @ np.roll(north, -1)
+        if runs_clockwise != zone.keep_in:
             ring = ring[::-1]
         centre = 0.5 * (ring.min(axis=0) + ring.max(axis=0))
         around = np.inf if zone.keep_in else zone.radius_m + np.hypot(*(ring - centre).T).max()

@@ -109,45 +109,18 @@ class _Speeds(NamedTuple):
 
 
 class _Track(NamedTuple):
-    """Schedule of a path or a point, with the constants that a cycle needs."""
+    """Reference that has started: its schedule, and what a cycle needs of it."""
 
-    table: Array  # (5, M)
-    lead_m: float
-    length_m: float
-    duration_s: float
-    depth_m: float | None  # at the end
-    leash_m: float
+    schedule: Schedule  # the allowed part
+    whole: Schedule  # without restriction; its end need not be allowed
     start: ReferenceStart
-    end_m: Pair  # north and east of the end of the reference, which need not be allowed
-    whole: Schedule | None = None  # of the path, without restriction
+    leash_m: float
 
-    @classmethod
-    def of(cls, schedule: Schedule, cruise_mps: float, start: ReferenceStart, end_m: Pair, whole: Schedule) -> _Track:
-        """Return the track of a schedule at a cruising speed (m/s).
-
-        Parameters
-        ----------
-        schedule, whole : schedule of the allowed path, and of the whole one.
-        cruise_mps : cruising speed of the vehicle (m/s).
-        start, end_m : start and end of the reference.
-        """
-        leash_m = max(LEASH_S * cruise_mps, MIN_LEASH_M)
-        last = float(schedule.table[DEPTH, -1])
-        depth_m = None if math.isnan(last) else last
-        length_m, duration_s = schedule.length_m, schedule.duration_s
-        return cls(schedule.table, schedule.lead_m, length_m, duration_s, depth_m, leash_m, start, end_m, whole)
-
-    @classmethod
-    def at_rest(cls, schedule: Schedule, depth_m: float | None, start: ReferenceStart, end_m: Pair) -> _Track:
-        """Return the track of a target at rest.
-
-        Parameters
-        ----------
-        schedule : of a point.
-        depth_m : wanted depth (m); None: none.
-        start, end_m : start and end of the reference.
-        """
-        return cls(schedule.table, schedule.lead_m, 0.0, 0.0, depth_m, math.inf, start, end_m)
+    @property
+    def depth_m(self) -> float | None:
+        """Depth at the end (m); None without a depth."""
+        last = float(self.schedule.table[DEPTH, -1])
+        return None if math.isnan(last) else last
 
 
 class Follower:
@@ -181,7 +154,7 @@ class Follower:
     @property
     def target_m(self) -> Pair | None:
         """North and east (m) of the target at the first knot of the last plan; None before the reference starts."""
-        return None if self._track is None else target_at(self._track.table, self._tau_s)[1:]
+        return None if self._track is None else target_at(self._track.schedule.table, self._tau_s)[1:]
 
     @property
     def depth_m(self) -> float | None:
@@ -191,7 +164,7 @@ class Follower:
     @property
     def start_distance_m(self) -> float | None:
         """Distance from the vehicle to the reference when it started (m); None before."""
-        return None if self._track is None else self._track.lead_m
+        return None if self._track is None else self._track.schedule.lead_m
 
     @property
     def progress(self) -> Progress:
@@ -219,10 +192,10 @@ class Follower:
         """
         self._allowed = allowed
         if self._track is not None:
-            way_m = float(target_at(self._track.table, self._tau_s)[0])
-            waited_s = self._tau_s - _stay(self._track.table, way_m)[0]
+            way_m = float(target_at(self._track.schedule.table, self._tau_s)[0])
+            waited_s = self._tau_s - _stay(self._track.schedule.table, way_m)[0]
             self._track = self._track_from(self._track.start)
-            reached_s, left_s = _stay(self._track.table, way_m)
+            reached_s, left_s = _stay(self._track.schedule.table, way_m)
             self._tau_s = min(reached_s + waited_s, left_s)
 
     def _start_at(self, start: ReferenceStart) -> None:
@@ -231,18 +204,13 @@ class Follower:
 
     def _track_from(self, start: ReferenceStart) -> _Track:
         """Return the allowed part of the reference that starts there."""
-        if isinstance(self.reference, Point | Hold):
-            north, east = self.reference.position(start)
-            column = (0.0, 0.0, north, east, math.nan if self.reference.depth_m is None else self.reference.depth_m)
-            distance_m = math.hypot(north - start.north_m, east - start.east_m)
-            point, self.skipped_m = self._allowed(Schedule(np.array((column, column)).T.copy(), distance_m))
-            return _Track.at_rest(point, self.reference.depth_m, start, (north, east))
         track = self._track
-        whole = track.whole if track is not None and track.start == start else None
-        whole = whole or self.reference.schedule(self._vehicle, start)
-        end_m = float(whole.table[NORTH, -1]), float(whole.table[EAST, -1])
+        same = track is not None and track.start == start
+        whole = track.whole if track and same else self.reference.schedule(self._vehicle, start)
         schedule, self.skipped_m = self._allowed(whole)
-        return _Track.of(schedule, self._speeds.cruise_mps, start, end_m, whole)
+        is_point = isinstance(self.reference, Point | Hold)
+        leash_m = math.inf if is_point else max(LEASH_S * self._speeds.cruise_mps, MIN_LEASH_M)
+        return _Track(schedule, whole, start, leash_m)
 
     def path_beside(self, t_ns: Times) -> PathBeside | None:
         """Return the path beside a plan: from behind the target at its first knot to ahead of that at its last one.
@@ -258,11 +226,11 @@ class Follower:
         track = self._track
         if track is None or not self.is_path:
             return None
-        tau = self._tau_s + self._rate * (t_ns[1:] - t_ns[0]) * 1e-9
-        targets = np.interp(tau, track.table[TIME], track.table[WAY])
+        table, tau = track.schedule.table, self._tau_s + self._rate * (t_ns[1:] - t_ns[0]) * 1e-9
+        targets = np.interp(tau, table[TIME], table[WAY])
         begin, end = max(targets[0] - 2.0 * track.leash_m, 0.0), targets[-1] + 2.0 * track.leash_m
-        way = np.linspace(begin, min(end, float(track.table[WAY, -1])), PATH_POINTS)
-        points = np.column_stack([np.interp(way, track.table[WAY], track.table[row]) for row in (NORTH, EAST)])
+        way = np.linspace(begin, min(end, float(table[WAY, -1])), PATH_POINTS)
+        points = np.column_stack([np.interp(way, table[WAY], table[row]) for row in (NORTH, EAST)])
         step_m = max(float(way[1] - way[0]), 1e-9)
         return PathBeside(points, ((targets - begin) / step_m).astype(np.int64), math.ceil(track.leash_m / step_m))
 
@@ -275,12 +243,14 @@ class Follower:
         tolerance_m : distance that counts as near, if it is above ``ARRIVAL_M`` (m).
         """
         track, radius_m = self._track, max(tolerance_m, ARRIVAL_M)
-        if self.arrived or track is None or self._tau_s < track.duration_s:
+        if self.arrived or track is None or self._tau_s < track.schedule.duration_s:
             return
         deep = True
         if track.depth_m is not None and self._vehicle.can_dive:
             deep = estimate.depth_m is not None and abs(estimate.depth_m - track.depth_m) <= radius_m
-        self.arrived = deep and math.dist((estimate.north_m, estimate.east_m), track.end_m) <= radius_m
+        self.arrived = (
+            deep and math.dist((estimate.north_m, estimate.east_m), track.whole.table[[NORTH, EAST], -1]) <= radius_m
+        )
 
     def save(self) -> FollowerState:
         """Return the state that another follower of the same reference continues from."""
@@ -304,7 +274,7 @@ class Follower:
         way_s = self._rate * max(min(now_ns, moved_until_ns) - state.t_ns, 0) * 1e-9
         self._t_ns = max(now_ns, state.t_ns)
         if self._track is not None:
-            self._tau_s = min(max(state.tau_s + way_s, 0.0), self._track.duration_s)
+            self._tau_s = min(max(state.tau_s + way_s, 0.0), self._track.schedule.duration_s)
 
     def advance(self, t_ns: Times, lateral: Array, current: Pair, target: Array) -> None:
         """Advance the target to the first knot of a plan, and write it at all knots.
@@ -323,19 +293,21 @@ class Follower:
         now_ns = int(t_ns[0])
         step_s = min(max(now_ns - self._t_ns, 0) * 1e-9, MAX_STEP_S)
         self._t_ns = max(now_ns, self._t_ns)
-        self._tau_s = min(self._tau_s + self._rate * step_s, track.duration_s)
+        self._tau_s = min(self._tau_s + self._rate * step_s, track.schedule.duration_s)
         self._rate, way, cross = advance_target(
-            track.table, self._tau_s, t_ns, lateral, current, track.leash_m, self._speed_in(current), target
+            track.schedule.table, self._tau_s, t_ns, lateral, current, track.leash_m, self._speed_in(current), target
         )
         if isinstance(self.reference, Point | Hold):
             self.heading_rad = self.reference.heading_in(current, self.heading_rad)
             if self.heading_rad is not None:
                 target[:-1, 2] = self.heading_rad
             return
-        done = min(max(way - track.lead_m, 0.0), track.length_m)
+        done = min(max(way - track.schedule.lead_m, 0.0), track.schedule.length_m)
         known = None if math.isnan(cross) else cross  # NaN: the estimate is not finite
-        share = done / track.length_m if track.length_m > 0.0 else 1.0  # a timed track may have no length
-        self._progress = Progress(share, known, track.length_m - done)
+        share = (
+            done / track.schedule.length_m if track.schedule.length_m > 0.0 else 1.0
+        )  # a timed track may have no length
+        self._progress = Progress(share, known, track.schedule.length_m - done)
 
     def _speed_in(self, current: Pair) -> float:
         """Return the largest speed S through the water (m/s) in a current, by the equation above."""
@@ -355,7 +327,7 @@ class Follower:
         if track is None or track.depth_m is None:
             return None
         start = track.start
-        return depths_at(track.table, self._tau_s, self._rate, t_ns, start.t_ns, start.depth_m, rate)
+        return depths_at(track.schedule.table, self._tau_s, self._rate, t_ns, start.t_ns, start.depth_m, rate)
 
     def places_ahead(self, lateral: Array, current: Pair, seconds: Array) -> Array | None:
         """Return where the vehicle will be: on the path from the target on, or on the straight line to a point.
@@ -372,7 +344,7 @@ class Follower:
         """
         if self._track is None:
             return None
-        table = self._track.table
+        table = self._track.schedule.table
         if self.is_path:
             tau = self._tau_s + seconds
             return np.column_stack([np.interp(tau, table[TIME], table[row]) for row in (NORTH, EAST)])

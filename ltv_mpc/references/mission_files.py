@@ -11,8 +11,6 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-import msgspec
-
 from ltv_mpc import config
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.references.geodesy import Origin
@@ -118,30 +116,13 @@ def read_waypoints(text: str, source: str) -> list[Item]:
     return items
 
 
-def read_json(text: str, source: str) -> dict[str, Any]:
-    """Return the object of a JSON file.
-
-    Parameters
-    ----------
-    text : content of the file.
-    source : name of the file in errors.
-    """
-    try:
-        content = msgspec.json.decode(text)
-    except (msgspec.DecodeError, RecursionError) as error:
-        raise ConfigError(source, "", f"is not valid JSON: {error}") from None
-    if not isinstance(content, dict):
-        raise ConfigError(source, "", "must be a JSON object")
-    return content
-
-
 def _waypoints(text: str, source: str) -> Content:
     return _mission(read_waypoints(text, source), MAX_SPEED_MPS, source)
 
 
 def _plan(text: str, source: str) -> Content:
     """Read a QGroundControl plan."""
-    mission = read_json(text, source).get("mission")
+    mission = config.parse_json(text, source).get("mission")
     try:
         latitude, longitude = map(float, mission["plannedHomePosition"][:2])  # type: ignore[index]
         items = [Item(0, WAYPOINT, 0, (0.0,) * 4, latitude, longitude, 0.0)]
@@ -182,7 +163,7 @@ def _geojson(text: str, source: str) -> Content:
     """Read the only LineString, or else the only Point, of the features that are no zones of a fence."""
     from ltv_mpc.geofence.geojson import check_crs, place_of
 
-    content = read_json(text, source)
+    content = config.parse_json(text, source)
     kind = content.get("type")
     features = content.get("features") if kind == "FeatureCollection" else [content]
     check_crs(content, "crs", source, [])

@@ -6,6 +6,7 @@ import math
 from pathlib import Path
 from typing import Annotated, TypeAlias
 
+import numpy as np
 from msgspec import Meta
 
 from ltv_mpc import config
@@ -14,6 +15,7 @@ from ltv_mpc.references import mission_files
 from ltv_mpc.references.base import BaseReference
 from ltv_mpc.references.feasibility import descent_notes
 from ltv_mpc.references.geodesy import Latitude, Longitude, Metres, Place, local
+from ltv_mpc.references.schedule import Schedule
 from ltv_mpc.references.shapes import Circle, Lawnmower, Line, Spiral, Waypoints
 from ltv_mpc.references.timed import Timed, from_csv
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -58,6 +60,29 @@ class Station(BaseReference, frozen=True, kw_only=True):
             return before_rad
         return math.atan2(-east, -north)
 
+    def position(self, anchor: ReferenceStart) -> Pair:
+        """Return north and east (m).
+
+        Parameters
+        ----------
+        anchor : start of the reference.
+        """
+        raise NotImplementedError
+
+    def schedule(self, vehicle: Vehicle, anchor: ReferenceStart) -> Schedule:
+        """Return the schedule of a target at rest, which has no length.
+
+        Parameters
+        ----------
+        vehicle : parameters of the vehicle.
+        anchor : start of the reference.
+        """
+        del vehicle
+        north, east = self.position(anchor)
+        column = (0.0, 0.0, north, east, math.nan if self.depth_m is None else self.depth_m)
+        distance_m = math.hypot(north - anchor.north_m, east - anchor.east_m)
+        return Schedule(np.array((column, column)).T.copy(), distance_m)
+
     def notes(self, vehicle: Vehicle) -> list[str]:
         """Return sentences about what the vehicle cannot do of this reference.
 
@@ -86,19 +111,16 @@ class Point(Station, frozen=True, kw_only=True, tag="point"):
     def __post_init__(self) -> None:
         """Reject a point without coordinates, or with both kinds."""
         super().__post_init__()
-        self._place()
+        self.position()
 
-    def position(self, anchor: ReferenceStart) -> Pair:
+    def position(self, anchor: ReferenceStart | None = None) -> Pair:
         """Return north and east (m).
 
         Parameters
         ----------
-        anchor : start of the reference.
+        anchor : start of the reference, which does not matter.
         """
         del anchor
-        return self._place()
-
-    def _place(self) -> Pair:
         place = Place(
             north_m=self.north_m,
             east_m=self.east_m,

@@ -30,7 +30,7 @@ import numpy as np
 
 from ltv_mpc.messages import CurrentProfile, Estimate
 from ltv_mpc.safety.input_age import InputAge
-from ltv_mpc.validation import RELATIONS
+from ltv_mpc.validation import relation_reason
 from ltv_mpc.vehicle.parameters import Vehicle
 from ltv_mpc.vehicle.resistance import steady_speed
 
@@ -169,7 +169,7 @@ class EstimateGate:
 
 def _problem(profile: CurrentProfile) -> str:
     """Return what makes a profile of the current useless; empty if nothing does."""
-    reason = RELATIONS[CurrentProfile](profile)
+    reason = relation_reason(profile)
     if reason is not None:
         return f"current: {reason}"
     north, east = profile.north_mps, profile.east_mps

@@ -28,8 +28,6 @@ from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.parameters import Coefficients
 
-N, E, U, V, PSI, R = range(6)
-
 
 @jit
 def coefficients(flat: Array) -> Coefficients:
@@ -139,55 +137,6 @@ def slopes(u: float, v: float, psi: float, r: float, crn: float, cre: float, p: 
         r_v=(p.mass_surge - p.mass_sway + p.added_munk) * u * of_yaw,
         r_r=-(p.linear_yaw + 2.0 * p.quadratic_yaw * abs(r)) * of_yaw,
     )
-
-
-def derivative(x: Array, F: Array, c: Array, cr: Array, p: Coefficients, dx: Array) -> None:
-    """Write dx = f(x, F, c, cr).
-
-    Parameters
-    ----------
-    x : (6,) state.
-    F : (2,) delivered thrust (N).
-    c, cr : (2,) current (m/s) and its rate along the path (m/s2), north and east.
-    p : coefficients of the vehicle.
-    dx : (6,) output.
-    """
-    dx[0], dx[1], dx[2], dx[3], dx[4], dx[5] = rates(x[2], x[3], x[4], x[5], F[0], F[1], c[0], c[1], cr[0], cr[1], p)
-
-
-def jacobian(x: Array, cr: Array, p: Coefficients, J: Array) -> None:
-    """Write J = df/dx. The columns of the position are zero.
-
-    Parameters
-    ----------
-    x : (6,) state.
-    cr : (2,) rate of the current along the path, north and east (m/s2).
-    p : coefficients of the vehicle.
-    J : (6, 6) output.
-    """
-    s = slopes(x[2], x[3], x[4], x[5], cr[0], cr[1], p)
-    J[:, :] = 0.0
-    J[N, U], J[N, V], J[N, PSI] = s.n_u, s.n_v, s.n_psi
-    J[E, U], J[E, V], J[E, PSI] = s.e_u, s.e_v, s.e_psi
-    J[U, U], J[U, V], J[U, PSI], J[U, R] = s.u_u, s.u_v, s.u_psi, s.u_r
-    J[V, U], J[V, V], J[V, PSI], J[V, R] = s.v_u, s.v_v, s.v_psi, s.v_r
-    J[PSI, R] = 1.0
-    J[R, U], J[R, V], J[R, R] = s.r_u, s.r_v, s.r_r
-
-
-def thrust_gain(p: Coefficients, G: Array) -> None:
-    """Write G = df/dF, which does not depend on the state.
-
-    Parameters
-    ----------
-    p : coefficients of the vehicle.
-    G : (6, 2) output.
-    """
-    G[:, :] = 0.0
-    G[2, 0] = 1.0 / p.mass_surge
-    G[2, 1] = 1.0 / p.mass_surge
-    G[5, 0] = p.arm_port / p.inertia_yaw
-    G[5, 1] = -p.arm_starboard / p.inertia_yaw
 
 
 @jit

@@ -19,6 +19,8 @@ thrust), and one of inertia and arms (by default the arms, which can be measured
 
 from __future__ import annotations
 
+import functools
+import operator
 from collections.abc import Sequence
 from typing import Literal, NamedTuple, TypeAlias
 
@@ -85,12 +87,27 @@ DIRECTIONS = ("ahead", "abeam", "in yaw")
 CURRENT = slice(-2, None)
 """Places of the unmodelled current, north and east, in theta; the coefficients stand before them."""
 
-NAMES = (
-    "mass_surge", "mass_sway", "inertia_yaw",
-    "linear_surge", "quadratic_surge", "linear_sway", "quadratic_sway", "linear_yaw", "quadratic_yaw",
-    "arm_port", "arm_starboard", "lag_port", "lag_starboard", "thrust", *REFERENCE_POINT,
-)  # fmt: skip
-"""Coefficients that can be fitted; ``thrust`` is the factor on the commands."""
+FIELDS = {
+    "mass_surge": ("surge.mass_kg", "kg"),
+    "mass_sway": ("sway.mass_kg", "kg"),
+    "inertia_yaw": ("yaw.inertia_kgm2", "kg m2"),
+    "linear_surge": ("surge.linear_damping_kgps", "kg/s"),
+    "quadratic_surge": ("surge.quadratic_damping_kgpm", "kg/m"),
+    "linear_sway": ("sway.linear_damping_kgps", "kg/s"),
+    "quadratic_sway": ("sway.quadratic_damping_kgpm", "kg/m"),
+    "linear_yaw": ("yaw.linear_damping_Nms", "N m s"),
+    "quadratic_yaw": ("yaw.quadratic_damping_kgm2", "kg m2"),
+    "arm_port": ("thruster.port.arm_m", "m"),
+    "arm_starboard": ("thruster.starboard.arm_m", "m"),
+    "lag_port": ("thruster.port.lag_s", "s"),
+    "lag_starboard": ("thruster.starboard.lag_s", "s"),
+    "thrust": ("", ""),
+    "reference_forward": ("reference_point.forward_m", "m"),
+    "reference_starboard": ("reference_point.starboard_m", "m"),
+}
+"""Coefficients that can be fitted, with their keys in a vehicle file and their units; ``thrust`` is the factor on the
+commands.
+"""
 
 
 class IdentifiedCoefficient(msgspec.Struct, frozen=True, kw_only=True):
@@ -126,10 +143,6 @@ class NotEnoughMotion(CannotIdentify):
     """Error of a run that is too short or too quiet for an identification."""
 
 
-class DivergedPrediction(CannotIdentify):
-    """Error of a run in which the motion predicted with the file's values diverges."""
-
-
 def identify(vehicle: Vehicle, motion: Motion, known: Known = "thrust", known_yaw: KnownYaw = "arm") -> Identification:
     """Identify the coefficients of a vehicle from a motion.
 
@@ -144,13 +157,13 @@ def identify(vehicle: Vehicle, motion: Motion, known: Known = "thrust", known_ya
     ------
     NotEnoughMotion
         If the motion has fewer than ``MIN_SEGMENTS`` segments, is constant, or excites no coefficient.
-    DivergedPrediction
+    CannotIdentify
         If the predicted motion diverges.
     """
     fixed = {"thrust"} if known == "thrust" else {"mass_surge"}
     fixed |= {"arm_port", "arm_starboard"} if known_yaw == "arm" else {"inertia_yaw"}
     fixed |= set() if motion.thrust is None else set(LAGS)
-    free = [name for name in NAMES if name not in fixed]
+    free = [name for name in FIELDS if name not in fixed]
     fit, theta = _solve(vehicle, motion, free)
     unexcited_dofs = _below_noise(through_the_water(motion, CURRENT_SD_MPS * theta[CURRENT]), fit.sd)
     if any(_degree_of_freedom(name) in unexcited_dofs for name in free):
@@ -207,7 +220,7 @@ def _solve(vehicle: Vehicle, motion: Motion, free: Sequence[str]) -> tuple[Shoot
     for final in (False, False, True):
         if not np.all(np.isfinite(fit.residuals(theta))):
             speed, rate = np.abs(motion.velocity[:, :2]).max(), np.abs(motion.velocity[:, 2]).max()
-            raise DivergedPrediction(
+            raise CannotIdentify(
                 f"the predicted motion diverges from that of the log, up to {speed:.3g} m/s and {rate:.3g} rad/s: "
                 "correct masses and damping in the vehicle file (vehicle check), or record its own motion alone"
             )
@@ -372,7 +385,7 @@ def _coefficient(
         low, high = file - 0.5 * (high - low), file + 0.5 * (high - low)
     return IdentifiedCoefficient(
         name=name,
-        unit=_unit(name),
+        unit=FIELDS[name][1],
         file=file,
         value=zero_offset + theta * scale if excited else file,
         low=low,
@@ -380,28 +393,6 @@ def _coefficient(
         excited=excited,
         declared=declared,
     )
-
-
-def _unit(name: str) -> str:
-    if name == "inertia_yaw":
-        return "kg m2"
-    if name in ("linear_yaw", "quadratic_yaw"):
-        return "N m s" if name == "linear_yaw" else "kg m2"
-    kinds = {
-        "mass": "kg",
-        "linear": "kg/s",
-        "quadratic": "kg/m",
-        "arm": "m",
-        "lag": "s",
-        "thrust": "",
-        "reference": "m",
-    }
-    return kinds[name.partition("_")[0]]
-
-
-KEYS = {"mass": "mass_kg", "linear": "linear_damping_kgps", "quadratic": "quadratic_damping_kgpm"}
-YAW_KEYS = {"inertia": "inertia_kgm2", "linear": "linear_damping_Nms", "quadratic": "quadratic_damping_kgm2"}
-"""Keys in the tables of a vehicle file, by the first word of the name of a coefficient."""
 
 
 def with_coefficients(vehicle: Vehicle, coefficients: Sequence[IdentifiedCoefficient]) -> Vehicle:
@@ -413,17 +404,12 @@ def with_coefficients(vehicle: Vehicle, coefficients: Sequence[IdentifiedCoeffic
     coefficients : coefficients to replace. A thrust scale multiplies the limits of both lateral thrusters.
     """
     table = msgspec.to_builtins(vehicle)
-    for coefficient in coefficients:
-        kind, _, axis = coefficient.name.partition("_")
-        lateral = table["thruster"]
-        if coefficient.name == "thrust":
-            for name in ("port", "starboard"):
+    for one in coefficients:
+        if one.name == "thrust":
+            for side in ("port", "starboard"):
                 for key in ("min_N", "max_N", "slew_N_per_s"):
-                    lateral[name][key] *= coefficient.value
-        elif kind in ("arm", "lag"):
-            lateral[axis][f"{kind}_{'m' if kind == 'arm' else 's'}"] = coefficient.value
-        elif kind == "reference":
-            table["reference_point"][f"{axis}_m"] = coefficient.value
+                    table["thruster"][side][key] *= one.value
         else:
-            table[axis][(YAW_KEYS if axis == "yaw" else KEYS)[kind]] = coefficient.value
+            *tables, key = FIELDS[one.name][0].split(".")
+            functools.reduce(operator.getitem, tables, table)[key] = one.value
     return msgspec.convert(table, Vehicle)

@@ -75,6 +75,8 @@ def performance(vehicle: Vehicle) -> Performance:
     to_starboard = rate_starboard is None or rate_port is None or abs(rate_starboard) <= abs(rate_port)
     turn = turning_thrusts(vehicle, starboard=to_starboard)
     rate = rate_starboard if to_starboard else rate_port
+    full = np.array([thruster.max_N for thruster in vehicle.thrusters[:2]])
+    decayed_mps = (1.0 - TIME_CONSTANT_SHARE) * SWAY_SHARE * (top or 0.0)
     return Performance(
         top_speed_ahead_mps=top,
         top_speed_astern_mps=top_astern,
@@ -85,10 +87,11 @@ def performance(vehicle: Vehicle) -> Performance:
         stopping_time_s=None if stop is None else stop[1],
         strongest_current_bow_mps=top,
         strongest_current_stern_mps=top_astern,
-        surge_s=None if not top else _time_until(vehicle, ahead, _reaches_speed(TIME_CONSTANT_SHARE * top)),
-        sway_s=None if not top else _sway_decay_s(vehicle, SWAY_SHARE * top),
-        yaw_s=None if not rate else _time_until(vehicle, turn, _reaches_yaw_rate(TIME_CONSTANT_SHARE * abs(rate))),
-        thruster_s=_thruster_rise_s(vehicle),
+        surge_s=_time_until(vehicle, ahead, lambda X: X[2] >= TIME_CONSTANT_SHARE * top) if top else None,
+        sway_s=_time_until(vehicle, STILL, lambda X: X[3] <= decayed_mps, SWAY_SHARE * top) if top else None,
+        yaw_s=_time_until(vehicle, turn, lambda X: abs(X[5]) >= TIME_CONSTANT_SHARE * abs(rate)) if rate else None,
+        thruster_s=_time_until(vehicle, full, lambda X: bool(np.all(X[6:] >= TIME_CONSTANT_SHARE * full)))
+        or MAX_TIME_S,
     )
 
 
@@ -162,11 +165,8 @@ def stopping(vehicle: Vehicle, speed_mps: float) -> tuple[float, float] | None:
     motion = _StillWaterMotion(vehicle)
     motion.X[2] = speed_mps
     motion.X[6:] = motion.U = ahead * min(drag_N / ahead.sum(), 1.0)
-    while motion.X[2] > STOPPED_SHARE * speed_mps:
-        if motion.t_s > MAX_TIME_S:
-            return None
-        motion.step(astern)
-    return float(motion.X[0]), motion.t_s
+    stopped = motion.until(lambda X: X[2] <= STOPPED_SHARE * speed_mps, astern)
+    return (float(motion.X[0]), motion.t_s) if stopped else None
 
 
 def sideways_drag_N(vehicle: Vehicle, current_mps: float, angle_deg: float) -> float:
@@ -221,16 +221,12 @@ def _steady_yaw_rate(vehicle: Vehicle, F: Array) -> float | None:
 
 def _settled_motion(vehicle: Vehicle, F: Array) -> Array:
     """Return u, v, r (3,) under ``F`` from rest, once they change by less than 1e-4 in 5 s; else at ``MAX_TIME_S``."""
-    motion = _StillWaterMotion(vehicle)
-    before = np.zeros(3)
-    while motion.t_s < MAX_TIME_S:
-        for _ in range(round(5.0 / STEP_S)):
-            motion.step(F)
-        now = motion.X[[2, 3, 5]]
-        if np.abs(now - before).max() < 1e-4:
-            break
+    motion, before, now = _StillWaterMotion(vehicle), np.ones(3), np.zeros(3)
+    while np.abs(now - before).max() >= 1e-4 and motion.t_s < MAX_TIME_S:
         before = now
-    return before
+        motion.until(_never, F, longest_s=motion.t_s + 5.0)
+        now = motion.X[[2, 3, 5]]
+    return now
 
 
 class _StillWaterMotion:
@@ -244,36 +240,31 @@ class _StillWaterMotion:
         self.U = np.zeros(2)
         self.t_s = 0.0
 
-    def step(self, F: Array) -> None:
-        """Advance by ``STEP_S``, with commands towards ``F`` (2,).
+    def until(self, reached: Callable[[Array], bool], F: Array, *, longest_s: float = MAX_TIME_S) -> bool:
+        """Advance in steps of ``STEP_S`` until ``reached(X)``; return False if that takes longer than ``longest_s``.
 
         Parameters
         ----------
-        F : (2,) requested thrusts (N).
+        reached : end of the motion.
+        F : (2,) requested thrusts (N), towards which the commands change.
+        longest_s : longest time of the motion (s).
         """
-        U = self.U + np.clip(F - self.U, -self._change, self._change)
-        out = np.empty(STATES)
-        advance_stage(self.X, self.U, U, STILL, STILL, STEP_S, self._p, self._lag, out)
-        self.X, self.U = out, U
-        self.t_s += STEP_S
+        while not reached(self.X):
+            if self.t_s > longest_s:
+                return False
+            U = self.U + np.clip(F - self.U, -self._change, self._change)
+            out = np.empty(STATES)
+            advance_stage(self.X, self.U, U, STILL, STILL, STEP_S, self._p, self._lag, out)
+            self.X, self.U = out, U
+            self.t_s += STEP_S
+        return True
 
 
-def _time_until(vehicle: Vehicle, F: Array, reached: Callable[[Array], bool]) -> float | None:
-    """Return the time (s) from rest under ``F`` until ``reached(X)``; None if it is longer than ``MAX_TIME_S``."""
+def _time_until(vehicle: Vehicle, F: Array, reached: Callable[[Array], bool], sway_mps: float = 0.0) -> float | None:
+    """Return the time (s) from rest, or from a sway, until ``reached(X)`` under ``F``; None if it takes too long."""
     motion = _StillWaterMotion(vehicle)
-    while motion.t_s < MAX_TIME_S:
-        motion.step(F)
-        if reached(motion.X):
-            return motion.t_s
-    return None
-
-
-def _reaches_speed(speed: float) -> Callable[[Array], bool]:
-    return lambda X: bool(X[2] >= speed)
-
-
-def _reaches_yaw_rate(rate: float) -> Callable[[Array], bool]:
-    return lambda X: bool(abs(X[5]) >= rate)
+    motion.X[3] = sway_mps
+    return motion.t_s if motion.until(reached, F) else None
 
 
 def _quarter_turn(vehicle: Vehicle, starboard: bool) -> float | None:
@@ -288,8 +279,8 @@ def _quarter_turn(vehicle: Vehicle, starboard: bool) -> float | None:
     def turned(switch_s: float) -> tuple[float, float]:
         """Return the angle (rad) and the time (s) until the yaw rate is zero again, if reversed at ``switch_s``."""
         motion = _StillWaterMotion(vehicle)
-        while motion.t_s < MAX_TIME_S and (motion.t_s < switch_s or sign * motion.X[5] > 0.0):
-            motion.step(turning if motion.t_s < switch_s else reversed_turning)
+        motion.until(_never, turning, longest_s=switch_s - 0.5 * STEP_S)
+        motion.until(lambda X: sign * X[5] <= 0.0, reversed_turning)
         return sign * float(motion.X[4]), motion.t_s
 
     late = _time_until(vehicle, turning, lambda X: sign * X[4] >= 0.5 * math.pi)
@@ -305,21 +296,6 @@ def _quarter_turn(vehicle: Vehicle, starboard: bool) -> float | None:
     return turned(late)[1]
 
 
-def _sway_decay_s(vehicle: Vehicle, speed: float) -> float | None:
-    """Return the time (s) in which sway at ``speed`` (m/s) decays to 1/e of it without thrust."""
-    motion = _StillWaterMotion(vehicle)
-    motion.X[3] = speed
-    while motion.X[3] > (1.0 - TIME_CONSTANT_SHARE) * speed:
-        if motion.t_s > MAX_TIME_S:
-            return None
-        motion.step(STILL)
-    return motion.t_s
-
-
-def _thruster_rise_s(vehicle: Vehicle) -> float:
-    """Return the time (s) until both lateral thrusters deliver 63 % of their maximum, commanded from zero."""
-    full = np.array([t.max_N for t in vehicle.thrusters[:2]])
-    motion = _StillWaterMotion(vehicle)
-    while motion.t_s < MAX_TIME_S and (motion.X[6:] < TIME_CONSTANT_SHARE * full).any():
-        motion.step(full)
-    return motion.t_s
+def _never(X: Array) -> bool:
+    del X
+    return False

@@ -16,7 +16,7 @@ import numpy as np
 
 from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.parameters import Thruster, Vehicle
-from ltv_mpc.vehicle.thruster import INFLOW_COEFFICIENT, THRUST_COEFFICIENT
+from ltv_mpc.vehicle.thruster import revolutions
 
 
 def shaft_power_W(thrust_N: Array, inflow_mps: Array, thruster: Thruster, water_density_kgpm3: float) -> Array:
@@ -36,10 +36,7 @@ def shaft_power_W(thrust_N: Array, inflow_mps: Array, thruster: Thruster, water_
     assert thruster.torque_coefficient is not None
     assert thruster.torque_inflow_coefficient is not None
     rho, d = water_density_kgpm3, thruster.propeller_diameter_m
-    # F = a |n| n - b |n|, solved for the n that has the sign of F
-    a, b = THRUST_COEFFICIENT * rho * d**4, INFLOW_COEFFICIENT * inflow_mps * rho * d**3
-    side = np.sign(thrust_N)
-    n = np.abs(side) * (b + side * np.sqrt(b * b + 4.0 * a * np.abs(thrust_N))) / (2.0 * a)
+    n = np.vectorize(revolutions, otypes=[np.float64])(thrust_N, inflow_mps, rho, d)
     # Q = K_Q0 rho d^5 |n| n - K_Q1 rho d^4 v_T |n|
     torque_Nm = thruster.torque_coefficient * rho * d**5 * np.abs(
         n

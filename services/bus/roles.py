@@ -8,7 +8,7 @@ and operator may. ``ros-<domain>`` is the role of all nodes of a ROS 2 domain, a
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 from ltv_mpc.messages import (
@@ -94,14 +94,15 @@ def access_control(namespace: str, others: Iterable[str] = ()) -> dict[str, Any]
     named sources and of ROS 2 domains. The router is no subject: its own messages use no link.
     """
     subjects = [role for role in (*ROLES, *others) if role != ROUTER]
-    rules = [rule for role in subjects for rule in _rules(role, namespace)]
-    policies = [{"subjects": [role], "rules": [rule["id"] for rule in _rules(role, namespace)]} for role in subjects]
+    rules = {role: _rules(role, namespace) for role in subjects}
     return {
         "enabled": True,
         "default_permission": "deny",
-        "rules": rules,
+        "rules": [rule for of_role in rules.values() for rule in of_role],
         "subjects": [{"id": role, "cert_common_names": [role]} for role in subjects],
-        "policies": policies,
+        "policies": [
+            {"subjects": [role], "rules": [rule["id"] for rule in of_role]} for role, of_role in rules.items()
+        ],
     }
 
 
@@ -110,19 +111,18 @@ def _rules(role: str, namespace: str) -> list[dict[str, Any]]:
 
     Every role learns of all subscribers. Zenoh's publishers send nothing if they know of no subscriber, so without this
     rule an attempt of a wrong role to publish would never reach the router and would not be counted.
+
+    A node of a ROS 2 domain may do everything on its keys, which are in no namespace, and nothing elsewhere. A ``**``
+    does not match a part that begins with ``@``, which latched topics have.
     """
-
-    def rule(name: str, messages: list[str], flow: str, keys: Iterable[str]) -> dict[str, Any]:
-        return {
-            "id": f"{role} {name}",
-            "permission": "allow",
-            "messages": messages,
-            "flows": [flow],
-            "key_exprs": [_within(namespace, key) for key in keys],
-        }
-
     if role.startswith(ROS_PREFIX):
-        return _ros_rules(role)
+        domain = role.removeprefix(ROS_PREFIX)
+        keys = f"{domain}/**", f"{domain}/**/@adv/**", f"@ros2_lv/{domain}/**"
+        return [_rule(role, "is a node", ROS_MESSAGES, ("ingress", "egress"), keys)]
+
+    def rule(name: str, messages: Sequence[str], flow: str, keys: Iterable[str]) -> dict[str, Any]:
+        return _rule(role, name, messages, (flow,), [_within(namespace, key) for key in keys])
+
     rules = [rule("learns of subscribers", ["declare_subscriber"], "egress", ["**"])]
     if writable := writes(role):
         rules.append(rule("puts", ["put"], "ingress", writable))
@@ -136,6 +136,16 @@ def _rules(role: str, namespace: str) -> list[dict[str, Any]]:
         rules.append(rule("asks for the history", ["query"], "ingress", [HISTORY]))
         rules.append(rule("is given the history", ["declare_queryable", "reply"], "egress", [HISTORY]))
     return rules
+
+
+def _rule(role: str, name: str, messages: Sequence[str], flows: Sequence[str], keys: Sequence[str]) -> dict[str, Any]:
+    return {
+        "id": f"{role} {name}",
+        "permission": "allow",
+        "messages": messages,
+        "flows": flows,
+        "key_exprs": keys,
+    }
 
 
 def _within(namespace: str, key: str) -> str:
@@ -155,20 +165,3 @@ ROS_MESSAGES = (
     "declare_liveliness_subscriber",
 )
 """All kinds of messages: nodes find each other by liveliness tokens; services and latched topics are queries."""
-
-
-def _ros_rules(role: str) -> list[dict[str, Any]]:
-    """Return the rule of the nodes of one ROS 2 domain: everything on its keys, nothing elsewhere.
-
-    Its keys are in no namespace. A ``**`` does not match a part that begins with ``@``, which latched topics have.
-    """
-    domain = role.removeprefix(ROS_PREFIX)
-    return [
-        {
-            "id": f"{role} is a node",
-            "permission": "allow",
-            "messages": list(ROS_MESSAGES),
-            "flows": ["ingress", "egress"],
-            "key_exprs": [f"{domain}/**", f"{domain}/**/@adv/**", f"@ros2_lv/{domain}/**"],
-        }
-    ]

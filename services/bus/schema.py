@@ -1,8 +1,8 @@
 """JSON Schema of each message on the wire and in a recording: the header's fields, then the message's.
 
 A field is required if no reader can do without it; any other field may be absent or null. This project's writers leave
-no field out and write null. Types, bounds and meanings are the annotations of ``ltv_mpc/messages.py``; a message
-outside its bounds is rejected.
+no field out and write null. Types and bounds are the annotations of ``ltv_mpc/messages.py``, meanings the docstrings
+below its fields; a message outside its bounds is rejected.
 
 Every schema is an object and self-contained. Foxglove's reader of JSON schemas supports neither ``$ref`` nor ``null``
 nor an array of arrays under ``properties``: it drops the whole channel. A field that may be null, or that is a
@@ -12,8 +12,11 @@ checks it, and Foxglove opens the channel and shows the field as received.
 
 from __future__ import annotations
 
+import ast
+import itertools
+import sys
 from functools import cache
-from inspect import cleandoc
+from inspect import cleandoc, getsource
 from typing import Any, NamedTuple, TypeAlias
 
 import msgspec
@@ -61,15 +64,28 @@ def fields(kind: type) -> dict[str, Field]:
     info = struct.type_info(kind)
     if not isinstance(info, struct.StructType):
         raise TypeError(f"{kind} is not a message")
-    limits = bounds(kind)
+    limits, meanings = bounds(kind), _meanings(kind.__module__)
     return {
-        field.name: Field(_description(field.type) | _value(field.type), field.required, limits.get(field.name))
+        field.name: Field(
+            meanings.get((kind.__name__, field.name), {}) | _value(field.type),
+            field.required,
+            limits.get(field.name),
+        )
         for field in info.fields
     }
 
 
-def _description(field_type: struct.Type) -> Schema:
-    return (field_type.extra_json_schema or {}) if isinstance(field_type, struct.Metadata) else {}
+@cache
+def _meanings(module: str) -> dict[tuple[str, str], Schema]:
+    """Return the docstring below each field of the classes in a module, by the names of class and field."""
+    meanings = {}
+    nodes = ast.walk(ast.parse(getsource(sys.modules[module])))
+    for one in (node for node in nodes if isinstance(node, ast.ClassDef)):
+        for field, below in itertools.pairwise(one.body):
+            match field, below:
+                case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(meaning))):
+                    meanings[one.name, name] = {"description": " ".join(meaning.split())}
+    return meanings
 
 
 def _object(entries: dict[str, Field]) -> Schema:

@@ -82,6 +82,12 @@ def log_to_stdout(levels: str) -> None:
 
 def configuration(options: BusOptions) -> zenoh.Config:
     """Return Zenoh's configuration for these options. Raises ``ConfigError`` if Zenoh rejects it."""
+    settings: dict[str, object] = {
+        "transport/shared_memory/enabled": False,
+        "transport/link/tx/queue/size/data": 16,
+        "transport/link/tx/queue/congestion_control/block/wait_before_close": MAX_BLOCKED_US,
+        "transport/link/rx/max_message_size": MAX_MESSAGE_BYTES,
+    }
     try:
         if options.config is not None:
             config = zenoh.Config.from_file(str(options.config))
@@ -89,40 +95,31 @@ def configuration(options: BusOptions) -> zenoh.Config:
             config = zenoh.Config.from_env()
         else:
             config = zenoh.Config()
-            _insert(config, "scouting/multicast/enabled", False)
-            _insert(config, "scouting/gossip/enabled", False)
-            _insert(config, "scouting/delay", 0)
-            _insert(config, "mode", options.acts_as)
-            _insert(config, "listen/endpoints", [])
-            _insert(config, "connect/timeout_ms", -1)
-            _insert(
-                config,
-                "connect/retry",
-                {"period_init_ms": 50, "period_max_ms": 200, "period_increase_factor": 1.5},
-            )
-        if options.mode is not None or options.listen:
-            _insert(config, "mode", options.acts_as)
-        if options.connects_to:
-            _insert(config, "connect/endpoints", list(options.connects_to))
-        if options.listen:
-            _insert(config, "listen/endpoints", list(options.listen))
-        if options.namespace:
-            _insert(config, "namespace", options.namespace)
-        if options.timestamps:
-            _insert(config, "timestamping/enabled", True)
-        _insert(config, "transport/shared_memory/enabled", False)
-        _insert(config, "transport/link/tx/queue/size/data", 16)
-        _insert(config, "transport/link/tx/queue/congestion_control/block/wait_before_close", MAX_BLOCKED_US)
-        _insert(config, "transport/link/rx/max_message_size", MAX_MESSAGE_BYTES)
+            settings |= {
+                "scouting/multicast/enabled": False,
+                "scouting/gossip/enabled": False,
+                "scouting/delay": 0,
+                "mode": options.acts_as,
+                "listen/endpoints": [],
+                "connect/timeout_ms": -1,
+                "connect/retry": {"period_init_ms": 50, "period_max_ms": 200, "period_increase_factor": 1.5},
+            }
+        chosen = {
+            "mode": options.acts_as if options.mode or options.listen else None,
+            "connect/endpoints": options.connects_to,
+            "listen/endpoints": options.listen,
+            "namespace": options.namespace,
+            "timestamping/enabled": options.timestamps,
+        }
+        settings |= {key: value for key, value in chosen.items() if value}
         if options.certs is not None:
-            _insert(config, "transport/link/tls", security.tls(security.credentials(options.certs, options.role)))
+            settings["transport/link/tls"] = security.tls(security.credentials(options.certs, options.role))
             if options.acts_as == "router" or options.listen:
-                others = [
-                    role
-                    for prefix in (roles.SOURCE_PREFIX, roles.ROS_PREFIX)
-                    for role in security.roles_in(options.certs, prefix)
-                ]
-                _insert(config, "access_control", roles.access_control(options.namespace, others))
+                prefixes = roles.SOURCE_PREFIX, roles.ROS_PREFIX
+                others = [role for prefix in prefixes for role in security.roles_in(options.certs, prefix)]
+                settings["access_control"] = roles.access_control(options.namespace, others)
+        for key, value in settings.items():
+            config.insert_json5(key, json.dumps(value))
     except zenoh.ZError as error:
         raise _refusal(options, error) from None
     return config
@@ -144,10 +141,6 @@ def _text(error: BaseException) -> str:
     return " ".join(text.split())
 
 
-def _insert(config: zenoh.Config, key: str, value: object) -> None:
-    config.insert_json5(key, json.dumps(value))
-
-
 class FrameReceiver(Protocol):
     """Receiver of frames, usually a ``Mailbox``."""
 
@@ -156,17 +149,12 @@ class FrameReceiver(Protocol):
         ...
 
 
-class Put(Protocol):
-    """Function that publishes a payload, with an attachment for the messages of other systems."""
-
-    def __call__(self, payload: bytes, *, attachment: bytes | None = None) -> None: ...
-
-
-class Publisher:
+class Publisher(Protocol):
     """Publisher of one key."""
 
-    def __init__(self, publisher: zenoh.Publisher | zenoh.ext.AdvancedPublisher) -> None:
-        self.put: Put = publisher.put
+    def put(self, payload: bytes, *, attachment: bytes | None = None) -> None:
+        """Publish a payload, with an attachment for the messages of other systems."""
+        ...
 
 
 ForeignReceiver: TypeAlias = Callable[[bytes, bytes], None]
@@ -188,14 +176,8 @@ class Session:
 
     def publisher(self, key: str) -> Publisher:
         """Declare a publisher on ``key``."""
-        return Publisher(
-            self._session.declare_publisher(
-                key,
-                congestion_control=zenoh.CongestionControl.DROP,
-                priority=zenoh.Priority.DATA,
-                express=False,
-            )
-        )
+        drop, data = zenoh.CongestionControl.DROP, zenoh.Priority.DATA
+        return self._session.declare_publisher(key, congestion_control=drop, priority=data, express=False)
 
     def subscribe(self, key: str, topic: Topic | None, receiver: FrameReceiver) -> None:
         """Offer each message that arrives on ``key`` to the receiver; ``topic`` None: looked up by the frame's key."""
@@ -205,9 +187,7 @@ class Session:
             name = str(sample.key_expr)
             offer(topic or topic_at(name), name, sample.payload.to_bytes())
 
-        self._subscribers.append(
-            self._session.declare_subscriber(key, zenoh.handlers.Callback(on_sample, indirect=False))
-        )
+        self._subscribe(key, on_sample)
 
     def serve(self, key: str, receiver: QueryReceiver) -> None:
         """Pass the queries of ``key`` to the receiver."""
@@ -243,14 +223,9 @@ class Session:
 
     def latched_publisher(self, key: str) -> Publisher:
         """Declare a publisher on ``key`` whose last message a later subscriber can query."""
-        return Publisher(
-            zenoh.ext.declare_advanced_publisher(
-                self._session,
-                key,
-                congestion_control=zenoh.CongestionControl.DROP,
-                cache=zenoh.ext.CacheConfig(max_samples=1),
-                publisher_detection=True,
-            )
+        drop, cache = zenoh.CongestionControl.DROP, zenoh.ext.CacheConfig(max_samples=1)
+        return zenoh.ext.declare_advanced_publisher(
+            self._session, key, congestion_control=drop, cache=cache, publisher_detection=True
         )
 
     def receive(self, key: str, receiver: ForeignReceiver) -> None:
@@ -259,9 +234,11 @@ class Session:
         def on_sample(sample: zenoh.Sample) -> None:
             receiver(sample.payload.to_bytes(), _bytes(sample.attachment))
 
-        self._subscribers.append(
-            self._session.declare_subscriber(key, zenoh.handlers.Callback(on_sample, indirect=False))
-        )
+        self._subscribe(key, on_sample)
+
+    def _subscribe(self, key: str, on_sample: Callable[[zenoh.Sample], None]) -> None:
+        callback = zenoh.handlers.Callback(on_sample, indirect=False)
+        self._subscribers.append(self._session.declare_subscriber(key, callback))
 
     def declare_token(self, key: str) -> None:
         """Declare a liveliness token, which ends with the session."""

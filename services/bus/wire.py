@@ -36,11 +36,12 @@ DECODE_ERRORS = (ValueError, TypeError, ArithmeticError, LookupError, RecursionE
 class Header(msgspec.Struct, frozen=True, kw_only=True):
     """Header of a message: its source and its place among the source's messages."""
 
-    epoch: Annotated[Epoch, Meta(description="identifies one start of the sender: 48 random bits")]
-    sequence: Annotated[Count, Meta(description="number of the message of this key and epoch, from 0 without a gap")]
-    sent_monotonic_us: Annotated[
-        MonotonicTime, Meta(description="the sender's CLOCK_MONOTONIC at publication; 0 or left out: unknown")
-    ] = 0
+    epoch: Epoch
+    """identifies one start of the sender: 48 random bits"""
+    sequence: Count
+    """number of the message of this key and epoch, from 0 without a gap"""
+    sent_monotonic_us: MonotonicTime = 0
+    """the sender's CLOCK_MONOTONIC at publication; 0 or left out: unknown"""
 
 
 class WireError(ValueError):

@@ -196,40 +196,32 @@ class LossCounter:
 
     def __init__(self, modulus: int = 1 << 63) -> None:
         """``modulus``: the numbers begin again at 0 when they reach it."""
+        self.lost = 0
         self._modulus = modulus
         self._limit = min(modulus // 2, 1000)  # largest step that counts as loss
         self._newest: dict[object, int] = {}  # counted on where the numbers begin again
-        self._missing: dict[object, set[int]] = {}
-        self._given_up = 0
-
-    @property
-    def lost(self) -> int:
-        """Number of lost frames so far."""
-        return self._given_up + sum(map(len, self._missing.values()))
+        self._missing: dict[object, deque[int]] = {}
 
     def add(self, sender: object, number: int) -> bool:
         """Add a received frame. Return False if it is a duplicate."""
         if sender not in self._newest:
-            if len(self._newest) >= MAX_REASONS:  # senders that nobody expects
-                return True
-            self._newest[sender], self._missing[sender] = number, set()
+            if len(self._newest) < MAX_REASONS:  # more are senders that nobody expects
+                self._newest[sender], self._missing[sender] = number, deque(maxlen=self._limit // 2)
             return True
         newest, missing = self._newest[sender], self._missing[sender]
         half = self._modulus // 2
         step = (number - newest + half) % self._modulus - half
         at = newest + step
         if abs(step) > self._limit:
-            self._newest[sender] = at
-            self._given_up += len(missing)
             missing.clear()
         elif step > 0:
-            missing.update(range(newest + 1, at))
-            self._newest[sender] = at
-            old = {one for one in missing if one < at - self._limit // 2}
-            missing -= old
-            self._given_up += len(old)
-        elif at in missing:
-            missing.remove(at)
+            missing.extend(range(newest + 1, at))
+            self.lost += step - 1
         else:
-            return False
+            if at not in missing:
+                return False
+            missing.remove(at)
+            self.lost -= 1
+            return True
+        self._newest[sender] = at
         return True

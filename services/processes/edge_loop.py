@@ -128,7 +128,6 @@ class EdgeLoop:
                 received=edge.accepted + self._validator.received,
                 dropped=edge.lost + self._validator.dropped + self._mailbox.overflowed,
                 rejected=edge.refused + self._validator.rejected,
-                step_us=0.0,
                 finished=finished,
             )
         )

@@ -103,21 +103,9 @@ class _Report:
             self._say(text)
             self._out.publish(RunEvent(t_ns=t_ns, node=ROUTER, kind="denied", text=text))
             self._reported = total
-        self._out.publish(
-            NodeStatus(
-                node=ROUTER,
-                t_ns=t_ns,
-                ready=True,
-                waiting_for="",
-                steps=0,
-                published=self._out.published + 1,  # this one included
-                received=0,
-                dropped=0,
-                rejected=total,
-                step_us=0.0,
-                finished=finished,
-            )
-        )
+        published = self._out.published + 1  # this one included
+        status = NodeStatus(node=ROUTER, t_ns=t_ns, ready=True, published=published, rejected=total, finished=finished)
+        self._out.publish(status)
 
 
 @contextlib.contextmanager

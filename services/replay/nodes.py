@@ -26,6 +26,7 @@ from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.messages import NodeSettings
 from ltv_mpc.node import Node
+from ltv_mpc.settings_schema import flat
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.recording.node_settings import NoSettingsError, SettingsByStart, published_settings, vehicle_name
 from services.recording.reader import Recording
@@ -208,16 +209,9 @@ def _unpacked(files: Mapping[str, str], *, source: str) -> Iterator[Path]:
 
 
 def _changes(run: msgspec.Struct, here: msgspec.Struct) -> tuple[Change, ...]:
-    was, is_ = _flat(msgspec.to_builtins(run)), _flat(msgspec.to_builtins(here))
+    was, is_ = flat(msgspec.to_builtins(run)), flat(msgspec.to_builtins(here))
     for table in (was, is_):  # a file's folder is not a setting
         table |= {key: Path(str(table[key])).name for key in ("water_prior",) if key in table}
     return tuple(
         Change(key=key, run=was.get(key), here=is_.get(key)) for key in {**was, **is_} if was.get(key) != is_.get(key)
     )
-
-
-def _flat(table: Mapping[str, object], under: str = "") -> dict[str, object]:
-    flat: dict[str, object] = {}
-    for key, value in table.items():
-        flat |= _flat(value, f"{under}{key}.") if isinstance(value, Mapping) else {f"{under}{key}": value}
-    return flat

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from fractions import Fraction
-from typing import Any
 
 import msgspec
 
@@ -43,60 +42,6 @@ class ClockMasterSettings(msgspec.Struct, frozen=True, kw_only=True):
     end_ns: int
     speed: float  # vehicle seconds per second
     expects: tuple[str, ...]  # nodes that must be ready before the clock starts
-
-
-class ClockSource:
-    """Source of the clock announcements. The clock master repeats ``message``, so that late joiners receive it too."""
-
-    def __init__(self, *, epoch: int, start_ns: int, speed: float, now_us: int) -> None:
-        self.slipped_ns = 0  # vehicle time given up in all, because the machine could not keep up
-        self.slips = 0  # number of slips
-        num, den = fraction_of(speed).as_integer_ratio()
-        self.message = Clock(
-            clock_epoch=epoch,
-            clock_sequence=0,
-            host_boot_id=boot_id(),
-            at_monotonic_us=now_us,
-            vehicle_ns=start_ns,
-            speed_num=num,
-            speed_den=den,
-            requested_speed=num / den,
-            state=ClockState.WAITING,
-        )
-
-    @property
-    def speed(self) -> Fraction:
-        """Requested speed: vehicle seconds per second."""
-        return fraction_of(self.message.requested_speed)
-
-    def run(self, now_us: int) -> Clock:
-        """Start, or continue after a pause."""
-        return self._announce(now_us, state=ClockState.RUNNING)
-
-    def pause(self, now_us: int) -> Clock:
-        """Pause."""
-        return self._announce(now_us, state=ClockState.PAUSED)
-
-    def set_speed(self, now_us: int, speed: Fraction, *, requested: float | None = None) -> Clock:
-        """Continue at ``speed``, which the machine can keep. ``requested`` replaces the requested speed, if given."""
-        requested = self.message.requested_speed if requested is None else float(fraction_of(requested))
-        return self._announce(now_us, speed_num=speed.numerator, speed_den=speed.denominator, requested_speed=requested)
-
-    def slip(self, now_us: int, late_us: int) -> Clock:
-        """Slip by ``late_us`` of wall time that cannot be caught up with: the clock holds still that much longer."""
-        self.slips += 1
-        slip_ns = late_us * 1000 * self.message.speed_num // self.message.speed_den
-        self.slipped_ns += slip_ns
-        return self._announce(now_us, slip_ns)
-
-    def _announce(self, now_us: int, slip_ns: int = 0, **changes: Any) -> Clock:
-        old = self.message
-        at_us = max(now_us + LEAD_US, old.at_monotonic_us)
-        vehicle_ns = ClockSegment.announced(old).read(at_us) - slip_ns
-        self.message = msgspec.structs.replace(
-            old, clock_sequence=old.clock_sequence + 1, at_monotonic_us=at_us, vehicle_ns=vehicle_ns, **changes
-        )
-        return self.message
 
 
 class ClockRate:
@@ -166,32 +111,51 @@ class ClockRate:
 
 
 class ClockMaster:
-    """Driver of a ``ClockSource``, called by the step loop. ``clock`` is the clock that the process itself reads."""
+    """Announcer of the vehicle clock, called by the step loop. ``clock`` is the clock that the process itself reads.
+
+    ``message`` is the newest announcement. It is repeated, so that late joiners receive it too.
+    """
 
     def __init__(
         self,
         settings: ClockMasterSettings,
         clock: VehicleClock,
         *,
+        node: str,
         epoch: int,
         now_us: int,
         publish: Callable[[Clock | RunEvent], object],
     ) -> None:
-        self._source = ClockSource(epoch=epoch, start_ns=settings.start_ns, speed=settings.speed, now_us=now_us)
-        self._rate = ClockRate(self._source.speed)
+        self.slips = 0
+        """Number of slips."""
+        self.slipped_ns = 0
+        """Vehicle time given up in all, because the machine could not keep up."""
+        self._node, self._clock, self._publish = node, clock, publish
+        self._rate = ClockRate(fraction_of(settings.speed))
         self._slipping_until_us = 0  # until then the newest slip is still to pass
-        self._clock = clock
-        self._publish = publish
         self._missing = dict.fromkeys(settings.expects)  # a dict keeps the order of the process table
         self._repeat_us = 0
-        self._reported_us, self._reported_slips, self._reported_speed = -REPORT_INTERVAL_US, 0, self._source.speed
+        self._reported_us, self._reported_slips = -REPORT_INTERVAL_US, 0
+        self._reported_speed = self._rate.requested
         self._ended = False
-        clock.follow(self._source.set_speed(now_us, self._rate.speed))
+        num, den = self._rate.speed.as_integer_ratio()
+        self.message = Clock(
+            clock_epoch=epoch,
+            clock_sequence=0,
+            host_boot_id=boot_id(),
+            at_monotonic_us=now_us,
+            vehicle_ns=settings.start_ns,
+            speed_num=num,
+            speed_den=den,
+            requested_speed=float(self._rate.requested),
+            state=ClockState.WAITING,
+        )
+        clock.follow(self.message)
 
     @property
     def due_us(self) -> int:
         """Monotonic time (us) of the next start, speed change or repetition."""
-        match self._source.message.state:
+        match self.message.state:
             case ClockState.WAITING if not self._missing:
                 return 0
             case ClockState.RUNNING:
@@ -204,73 +168,93 @@ class ClockMaster:
         """Names of the nodes that are not ready yet."""
         return ", ".join(self._missing)
 
-    def on_status(self, status: NodeStatus, now_us: int, node: str) -> None:
+    def on_status(self, status: NodeStatus, now_us: int) -> None:
         """Note a node's status. If the node cannot keep up, the clock slips, as it does for this process."""
         if status.ready and not status.finished:
             self._missing.pop(status.node, None)
-        if self._source.message.state is ClockState.RUNNING:
-            self._slip(status.min_queue_delay_us if status.min_queue_delay_us > MAX_BACKLOG_US else 0, now_us, node)
+        self.slip(now_us, status.min_queue_delay_us if status.min_queue_delay_us > MAX_BACKLOG_US else 0)
 
-    def on_command(self, command: ClockCommand, now_us: int, node: str) -> None:
+    def on_command(self, command: ClockCommand, now_us: int) -> None:
         """Change speed, pause or continue, as an operator requests; not before the start or after the run's end."""
         if self._ended:
             return
-        changes = []
-        if fraction_of(command.speed) != self._source.speed:
-            self._rate.request(fraction_of(command.speed))
-            self._change(self._source.set_speed(now_us, self._rate.speed, requested=command.speed), now_us)
+        changes, state, speed = [], self.message.state, fraction_of(command.speed)
+        if speed != self._rate.requested:
+            self._rate.request(speed)
             changes.append(f"at {command.speed:g} x real time")
-        if command.paused and self._source.message.state is ClockState.RUNNING:
-            self._change(self._source.pause(now_us), now_us)
+        if command.paused and state is ClockState.RUNNING:
+            state = ClockState.PAUSED
             changes.append("paused")
-        elif not command.paused and self._source.message.state is ClockState.PAUSED:
-            self._change(self._source.run(now_us), now_us)
+        elif not command.paused and state is ClockState.PAUSED:
+            state = ClockState.RUNNING
             changes.append("resumed")
         self._rate.restart_window()
         if changes:
-            text = f"clock {', '.join(changes)}, as requested"
-            self._publish(RunEvent(t_ns=self._clock.read(now_us) or 0, node=node, kind="clock", text=text))
+            self._announce(now_us, state)
+            self._publish_event(now_us, "clock", f"clock {', '.join(changes)}, as requested")
 
     def run_due(self, now_us: int) -> None:
         """Start the clock, change its speed, or repeat its announcement, whichever is due."""
-        if self._source.message.state is ClockState.WAITING and not self._missing:
-            self._change(self._source.run(now_us), now_us)
-        elif self._source.message.state is ClockState.RUNNING and self._rate.window_over(now_us):
-            self._change(self._source.set_speed(now_us, self._rate.speed), now_us)
+        state = self.message.state
+        starts = state is ClockState.WAITING and not self._missing
+        if starts or (state is ClockState.RUNNING and self._rate.window_over(now_us)):
+            self._announce(now_us, ClockState.RUNNING)
         elif now_us >= self._repeat_us:
             self._send(now_us)
 
-    def on_late_step(self, now_us: int, due_us: int, node: str) -> None:
+    def on_late_step(self, now_us: int, due_us: int) -> None:
         """Note that a grid step that was due at ``due_us`` starts only now."""
-        self._slip(now_us - due_us - MAX_CATCH_UP_US, now_us, node)
+        self.slip(now_us, now_us - due_us - MAX_CATCH_UP_US)
 
-    def _slip(self, us: int, now_us: int, node: str) -> None:
-        """Slip by ``us`` of wall time, unless an earlier slip has not passed yet."""
-        if us <= 0 or now_us < self._slipping_until_us:
+    def slip(self, now_us: int, us: int) -> None:
+        """Slip by ``us`` of wall time that cannot be caught up with: the clock holds still that much longer.
+
+        It does so only while it runs, and no earlier slip is still to pass.
+        """
+        if us <= 0 or self.message.state is not ClockState.RUNNING or now_us < self._slipping_until_us:
             return
-        self._change(self._source.slip(now_us, us), now_us)
+        slip_ns = us * 1000 * self.message.speed_num // self.message.speed_den
+        self._announce(now_us, slip_ns=slip_ns)
+        self.slips, self.slipped_ns = self.slips + 1, self.slipped_ns + slip_ns
         self._rate.add_slip(us)
-        self._slipping_until_us = self._source.message.at_monotonic_us + us
-        much_more = self._source.slips >= 2 * self._reported_slips or 2 * self._rate.speed < self._reported_speed
+        self._slipping_until_us = self.message.at_monotonic_us + us
+        much_more = self.slips >= 2 * self._reported_slips or 2 * self._rate.speed < self._reported_speed
         if now_us - self._reported_us < REPORT_INTERVAL_US or not much_more:
             return
-        self._reported_us, self._reported_slips, self._reported_speed = now_us, self._source.slips, self._rate.speed
+        self._reported_us, self._reported_slips, self._reported_speed = now_us, self.slips, self._rate.speed
         text = (
-            f"machine too slow: waits of the clock so far: {self._source.slips},"
-            f" in all {self._source.slipped_ns / 1e9:.2f} s of vehicle time;"
+            f"machine too slow: waits of the clock so far: {self.slips},"
+            f" in all {self.slipped_ns / 1e9:.2f} s of vehicle time;"
             f" it continues at {float(self._rate.speed):.3g} x real time"
         )
-        self._publish(RunEvent(t_ns=self._clock.read(now_us) or 0, node=node, kind="slowed", text=text))
+        self._publish_event(now_us, "slowed", text)
 
     def stop(self, now_us: int) -> None:
         """Stop the clock: the run is complete."""
         self._ended = True
-        self._change(self._source.pause(now_us), now_us)
+        self._announce(now_us, ClockState.PAUSED)
 
-    def _change(self, message: Clock, now_us: int) -> None:
-        self._clock.follow(message)
+    def _announce(self, now_us: int, state: ClockState | None = None, *, slip_ns: int = 0) -> None:
+        """Announce a change of the state, of the speed to that of the clock rate, or a slip."""
+        old = self.message
+        at_us = max(now_us + LEAD_US, old.at_monotonic_us)
+        num, den = self._rate.speed.as_integer_ratio()
+        self.message = msgspec.structs.replace(
+            old,
+            clock_sequence=old.clock_sequence + 1,
+            at_monotonic_us=at_us,
+            vehicle_ns=ClockSegment.announced(old).read(at_us) - slip_ns,
+            speed_num=num,
+            speed_den=den,
+            requested_speed=float(self._rate.requested),
+            state=state or old.state,
+        )
+        self._clock.follow(self.message)
         self._send(now_us)
 
     def _send(self, now_us: int) -> None:
-        self._publish(self._source.message)
+        self._publish(self.message)
         self._repeat_us = now_us + REPEAT_US
+
+    def _publish_event(self, now_us: int, kind: str, text: str) -> None:
+        self._publish(RunEvent(t_ns=self._clock.read(now_us) or 0, node=self._node, kind=kind, text=text))

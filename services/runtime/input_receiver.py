@@ -137,9 +137,9 @@ class InputReceiver:
             self._status.waiting.on_clock(monotonic_us())
             time.follow(message)
         elif time.master is not None and isinstance(message, NodeStatus):
-            time.master.on_status(message, monotonic_us(), self._node.name)
+            time.master.on_status(message, monotonic_us())
         elif time.master is not None and isinstance(message, ClockCommand):
-            time.master.on_command(message, monotonic_us(), self._node.name)
+            time.master.on_command(message, monotonic_us())
 
     def _reject(self, frame: Frame, reason: str) -> None:
         now_ns = self._time.now_ns(frame.received_monotonic_us)

@@ -188,7 +188,12 @@ class Runner:
             session.subscribe(expression(topic), None if kind in NAMED else topic, self.mailbox)
         if self._master_settings is not None:
             time.master = ClockMaster(
-                self._master_settings, time.clock, epoch=self._epoch, now_us=monotonic_us(), publish=outbox.publish
+                self._master_settings,
+                time.clock,
+                node=node.name,
+                epoch=self._epoch,
+                now_us=monotonic_us(),
+                publish=outbox.publish,
             )
         time.start_schedule()
         io = NodeIO(node.name, outbox, saved)
@@ -305,7 +310,7 @@ class StepLoop:
         assert schedule.next_ns is not None
         if schedule.on_grid:
             if time.master is not None:
-                time.master.on_late_step(now_us, time.next_step_us or now_us, self._node.name)
+                time.master.on_late_step(now_us, time.next_step_us or now_us)
             self._step(schedule.next_ns, "grid", now_us)
         else:
             self._step(max(schedule.next_ns, time.now_ns(now_us)), "cycle", now_us)

@@ -7,11 +7,11 @@ import math
 import numpy as np
 import pytest
 
+from benchmarks.batch import Job
 from benchmarks.localisation_check import check
+from benchmarks.localisation_check.consistency import band
 from benchmarks.localisation_check.probe import Record, Squares, descend
-from benchmarks.lockstep_job import Job
 from services.tools import lockstep_run
-from sim.evaluation.consistency import band
 
 SHORT = 'title = "4 s of a descent"\n[run]\nduration_s = 4.0\n[plant]\ndepth_m = 5.0\n'
 

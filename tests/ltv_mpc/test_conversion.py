@@ -154,8 +154,8 @@ def test_the_time_of_a_cycle_may_be_of_any_type(t_ns: Any) -> None:
 @pytest.mark.parametrize(
     ("profile", "why"),
     [
-        (([], [], []), "no valid estimate: current: depth_m, north_mps, east_mps: must be of one length, at least 1"),
-        (([0.0, 9.0], [0.1], [0.1, 0.1]), "no valid estimate: current: depth_m, north_mps, east_mps: must be of one"),
+        (([], [], []), "no valid estimate: current: depth_m (0,): must be (K) with K = 1"),
+        (([0.0, 9.0], [0.1], [0.1, 0.1]), "no valid estimate: current: north_mps (1,): must be (K) with K = 2"),
         (([9.0, 0.0], [0.1, 0.0], [0.1, 0.0]), "no valid estimate: current: depth_m: must increase"),
         (([0.0, np.nan], [0.1, 0.0], [0.1, 0.0]), "no valid estimate: current: depth_m: must increase"),
         (([0.0, 9.0], [np.nan, 0.0], [0.1, 0.0]), "no valid estimate: a number is not finite"),

@@ -5,35 +5,39 @@ from __future__ import annotations
 import ast
 import math
 import os
-import shutil
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
 
 from ltv_mpc import jit
+from ltv_mpc.kernel_hash import kernel_hash
 
 ROOT = Path(__file__).resolve().parents[2]
 
-
 CALLEE = '''
-import numpy as np
 from typing import NamedTuple
+
 from ltv_mpc.jit import jit
 
 GAIN = 2.0
+
 
 class Pair(NamedTuple):
     first: float
     second: float
 
+
 @jit
 def inner(x):
     """Return a multiple."""
     return GAIN * x
+
 
 @jit
 def other(x):
@@ -41,80 +45,60 @@ def other(x):
 '''
 
 CALLER = """
-from ltv_mpc.vehicle import callee
-from ltv_mpc.vehicle.callee import Pair, inner
+from ltv_mpc import callee
+from ltv_mpc.callee import Pair, inner
 from ltv_mpc.jit import jit
+
 
 @jit
 def outer(p: Pair) -> float:
     return inner(p.first) - callee.GAIN * p.second
 
-result = outer(Pair(3.0, 1.0)), len(outer.stats.cache_misses)
+
+result = outer(Pair(3.0, 1.0))
 """
 
 
-def outcome(tree: Path, cache: Path) -> str:
-    """Return the result of ``CALLER`` in a copy of the sources, and how many functions it had to compile."""
-    code = "from ltv_mpc.vehicle import caller; print(*caller.result)"
-    environment = os.environ | {"NUMBA_CACHE_DIR": str(cache), "PYTHONPATH": str(tree)}
-    done = subprocess.run(
-        [sys.executable, "-P", "-c", code], cwd=tree, env=environment, capture_output=True, text=True, check=True
-    )
-    return done.stdout.strip()
-
-
-CHANGES = (
-    ("GAIN * x", "GAIN * x + 1.0", "5.0 1"),
-    ("GAIN = 2.0", "GAIN = 3.0", "6.0 1"),
-    ("first: float\n    second: float", "second: float\n    first: float", "-4.0 1"),
-    ("    return x\n", "    return 2.0 * x\n", "4.0 0"),  # is not called
+@pytest.mark.parametrize(
+    ("old", "new", "result", "compiled"),
+    [
+        ("Return a multiple.", "Return the product\n\n    with the gain.", 4.0, False),
+        ("    return x\n", "    return 2.0 * x\n", 4.0, False),  # is not called
+        ("GAIN * x", "GAIN * x + 1.0", 5.0, True),
+        ("GAIN = 2.0", "GAIN = 3.0", 6.0, True),
+        ("first: float\n    second: float", "second: float\n    first: float", -4.0, True),
+    ],
 )
-"""Old and new text of the callee, which has another docstring, the result, and the number of compiled functions."""
-
-
-def test_a_function_is_compiled_again_when_what_it_depends_on_changes_and_only_then(tmp_path):
+def test_a_function_is_compiled_again_when_what_it_depends_on_changes_and_only_then(
+    monkeypatch, old, new, result, compiled
+):
     """numba's own cache would keep the caller's old machine code, and compile again after each change of the file."""
-    for name in ("one", "other"):  # two checkouts share what is the same
-        tree = tmp_path / name
-        shutil.copytree(ROOT / "ltv_mpc", tree / "ltv_mpc", ignore=shutil.ignore_patterns("__pycache__"))
-        (tree / "ltv_mpc" / "vehicle" / "callee.py").write_text(CALLEE)
-        (tree / "ltv_mpc" / "vehicle" / "caller.py").write_text(CALLER)
-        assert outcome(tree, tmp_path / "cache") == ("4.0 1" if name == "one" else "4.0 0")
-    callee = tree / "ltv_mpc" / "vehicle" / "callee.py"
-    for old, new, expected in CHANGES:
-        callee.write_text(
-            CALLEE.replace("Return a multiple.", "Return the product\n\n    with the gain.").replace(old, new)
-        )
-        assert outcome(tree, tmp_path / "cache") == expected, new
+
+    def run(callee: str) -> tuple[float, str]:
+        for name, text in (("callee", callee), ("caller", CALLER)):
+            module = ModuleType(f"ltv_mpc.{name}")
+            monkeypatch.setitem(sys.modules, module.__name__, module)
+            exec(compile(text, __file__, "exec"), vars(module))
+        return module.result, kernel_hash(module.outer.py_func)
+
+    before, after = run(CALLEE), run(CALLEE.replace(old, new))
+    assert (before[0], after[0]) == (4.0, result)
+    assert (before[1] != after[1]) == compiled
 
 
-def test_without_a_home_that_can_be_written_it_compiles_into_a_temporary_folder(tmp_path):
-    (tmp_path / "file").touch()
-    environment = {k: v for k, v in os.environ.items() if k not in ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME")}
-    environment |= {"HOME": str(tmp_path / "file" / "nothing"), "TMPDIR": str(tmp_path)}
-    code = (
-        "import numpy as np\n"
-        "from ltv_mpc import jit\n"
-        "from ltv_mpc.vehicle.thruster import thrust\n"
-        "assert not jit.CACHE_IS_PERSISTENT\n"
-        "print(jit.CACHE, thrust(2.0, 0.0, 1025.0, 0.25))"
-    )
-    done = subprocess.run(
-        [sys.executable, "-P", "-c", code], env=environment, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith(str(tmp_path))
-
-
-def test_a_given_cache_folder_gets_a_subfolder_per_compiler_and_children_inherit_it(tmp_path):
+def test_the_cache_is_a_folder_of_the_compiler_that_children_inherit_or_a_temporary_one(tmp_path, monkeypatch):
     """A value of the user's for numba must not bring back stale code."""
-    code = "from ltv_mpc import jit; print(jit.CACHE)"
-    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
-    command = [sys.executable, "-P", "-c", code]
-    first = subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.strip()
-    assert first == str(tmp_path / "ltv-mpc" / jit.fingerprint())
-    environment["NUMBA_CACHE_DIR"] = first
-    assert subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.strip() == first
+    own = tmp_path / "ltv-mpc" / jit.fingerprint()
+    for given in (tmp_path, own):
+        monkeypatch.setenv("NUMBA_CACHE_DIR", str(given))
+        assert jit.cache_folder() == (own, True)
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "file" / "nothing"))
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
+    (tmp_path / "temporary").mkdir()
+    folder, is_persistent = jit.cache_folder()
+    assert folder.is_relative_to(tmp_path / "temporary")
+    assert not is_persistent
 
 
 @pytest.mark.parametrize("limit", [-1.0, 0.0, 0.5, 2.0, 3.0, 9.0, math.nan])

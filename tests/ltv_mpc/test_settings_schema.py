@@ -16,48 +16,24 @@ TOPICS = ("world/truth", "sensor/imu", "estimate", "plan")
 
 
 @pytest.mark.parametrize(
-    ("wrong", "meant"),
+    ("names", "slips"),
     [
-        *(("dmeo", "demo"), ("decent", "descent"), ("HOVER", "hover"), ("smi", "sim"), ("simulate", "sim")),
-        *(("reporrt", "report"), ("dashbrod", "dashboard"), ("localize", "localise"), ("low_yaw", "low-yaw")),
-        *(("bluerobotic", "bluerobotics-boat"), ("bluerobot", "bluerobotics-boat")),
-        *(("help", None), ("run", None), ("foo", None), ("x", None), ("", None)),
-    ],
-)
-def test_a_slip_in_a_name_is_recognised(wrong: str, meant: str | None) -> None:
-    assert closest_name(wrong, NAMES) == meant
-
-
-@pytest.mark.parametrize(
-    ("wrong", "meant"),
-    [
-        *(("--sed", "--seed"), ("--speeed", "--speed"), ("-speed", "--speed"), ("--Out", "--out")),
-        *(("--horizon", "--horizon-s"), ("--horzon", "--horizon-s"), ("--delay", "--compute-delay-s")),
-        *(("--no-dashbord", "--no-dashboard"), ("--out-dir", "--out"), ("--bogus", None), ("--quiet", None)),
-    ],
-)
-def test_a_slip_in_an_option_is_recognised(wrong: str, meant: str | None) -> None:
-    assert closest_name(wrong, OPTIONS) == meant
-
-
-@pytest.mark.parametrize(
-    ("wrong", "meant"),
-    [
-        *(
-            ("seed", "run.seed"),
-            ("sped", "run.speed"),
-            ("duration", "run.duration_s"),
-            ("delay", "run.compute_delay_s"),
+        (
+            NAMES,
+            "dmeo=demo decent=descent HOVER=hover simulate=sim dashbrod=dashboard low_yaw=low-yaw help= run= foo= x= =",
         ),
-        *(("water.sd", "water.sd_mps"), ("water.std", "water.sd_mps"), ("wather.sd", "water.sd_mps")),
-        *(("weights.thrst", "controller.weights.thrust"), ("controller.hoirzon", "controller.horizon_s")),
-        *(("xyz", None), ("boat.paint", None)),
+        (NAMES, "bluerobot=bluerobotics-boat smi=sim localize=localise"),
+        (OPTIONS, "--sed=--seed -speed=--speed --Out=--out --horzon=--horizon-s --delay=--compute-delay-s --bogus="),
+        (OPTIONS, "--no-dashbord=--no-dashboard --out-dir=--out --quiet="),
+        (KEYS, "seed=run.seed duration=run.duration_s delay=run.compute_delay_s water.std=water.sd_mps boat.paint="),
+        (
+            KEYS,
+            "wather.sd=water.sd_mps weights.thrst=controller.weights.thrust controller.hoirzon=controller.horizon_s",
+        ),
+        (TOPICS, "imu=sensor/imu world/truht=world/truth plann=plan"),
     ],
 )
-def test_a_slip_in_a_key_or_a_missing_table_is_recognised(wrong: str, meant: str | None) -> None:
-    assert closest_name(wrong, KEYS) == meant
-
-
-@pytest.mark.parametrize(("wrong", "meant"), [("imu", "sensor/imu"), ("world/truht", "world/truth"), ("plann", "plan")])
-def test_a_slip_in_a_topic_is_recognised(wrong: str, meant: str) -> None:
-    assert closest_name(wrong, TOPICS) == meant
+def test_a_slip_in_a_name_is_recognised(names: tuple[str, ...], slips: str) -> None:
+    """Each slip stands before the name that is meant."""
+    for wrong, meant in (slip.split("=") for slip in slips.split()):
+        assert closest_name(wrong, names) == (meant or None), wrong

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from benchmarks.strangers.flight import FOREIGN, Conditions, Flight
+from benchmarks.strangers.rival import gains_of
 from benchmarks.strangers.tasks import CONDITIONS, SPEEDS_MPS, TASKS, Figures, Task, figures, fly_task
-from benchmarks.strangers.tuning import gains_of
 
 MEAN_M, MAX_M, ARRIVAL_S, FORCE = 0.25, 0.6, 40.0, 0.3
 """Limits at a point 5 m away, in 100 s under every condition; the force is mean |F| over the largest thrust."""

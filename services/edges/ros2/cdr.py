@@ -9,6 +9,8 @@ import struct
 from functools import cache
 from typing import Any
 
+import numpy as np
+from rosbags.interfaces import Nodetype
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
@@ -74,8 +76,25 @@ def _with_their_names(parsed: Any) -> Any:
 
 
 def make(ros_type: str, **fields: Any) -> Any:
-    """Return a message of a type."""
-    return _types().types[ros_type](**fields)
+    """Return a message of a type. A field is a message, or a dict of its fields; what is not given is zero or empty."""
+    types = _types()
+    values = {name: _value(of, fields.pop(name, None)) for name, of in types.fielddefs[ros_type][1]}
+    return types.types[ros_type](**values, **fields)
+
+
+def _value(of: Any, given: Any) -> Any:
+    """Return the value of a field of a type, which is a tuple of rosbags."""
+    kind, inner = of
+    if kind is Nodetype.NAME:
+        return make(inner, **(given or {})) if given is None or isinstance(given, dict) else given
+    if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE) and inner[0][0] is Nodetype.NAME:
+        return [_value(inner[0], one) for one in given or ()]
+    if given is not None:
+        return given
+    if kind is Nodetype.BASE:
+        return "" if inner[0] == "string" else 0
+    (_, (dtype, _)), size = inner
+    return np.zeros(size if kind is Nodetype.ARRAY else 0, dtype=dtype)
 
 
 def decode(payload: bytes, ros_type: str) -> Any:

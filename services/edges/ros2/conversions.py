@@ -109,13 +109,12 @@ def _place(position: Array, settings: Settings) -> dict[str, float]:
 # --- out -------------------------------------------------------------------------------------------------------------
 
 
-def header(t_ns: int, frame: str) -> Any:
+def header(t_ns: int, frame: str) -> dict[str, Any]:
     """Return a std_msgs/Header. Raises ``Refused`` for a time beyond the seconds of ROS 2, which have 32 bits."""
     sec, nanosec = divmod(t_ns, MILLION)
     if not -(2**31) <= sec < 2**31:
         raise Refused(f"time = {sec} s: ROS 2 has no such stamp")
-    stamp = make("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec)
-    return make("std_msgs/msg/Header", stamp=stamp, frame_id=frame)
+    return {"stamp": {"sec": sec, "nanosec": nanosec}, "frame_id": frame}
 
 
 def thrust_messages(thrust_N: Array, t_ns: int, settings: Settings) -> dict[str, Any]:
@@ -123,95 +122,78 @@ def thrust_messages(thrust_N: Array, t_ns: int, settings: Settings) -> dict[str,
     port, starboard, vertical = (float(force) for force in thrust_N)
     named = {"port": port, "starboard": starboard, "vertical": vertical}
     of = settings.vehicle.thruster
-    wrench = make(
-        "geometry_msgs/msg/Wrench",
-        force=_vector3(port + starboard, 0.0, -vertical),
-        torque=_vector3(0.0, 0.0, of.starboard.arm_m * starboard - of.port.arm_m * port),
-    )
     if settings.array:
         data = np.array([named[name] * settings.scale for name in settings.array.split(",")])
-        dimension = make("std_msgs/msg/MultiArrayDimension", label=settings.array, size=len(data), stride=len(data))
-        layout = make("std_msgs/msg/MultiArrayLayout", dim=[dimension], data_offset=0)
+        layout = {"dim": [{"label": settings.array, "size": len(data), "stride": len(data)}]}
         messages = {"thrusts": make("std_msgs/msg/Float64MultiArray", layout=layout, data=data)}
     else:
         messages = {name: make("std_msgs/msg/Float64", data=force) for name, force in named.items()}
+    wrench = {
+        "force": {"x": port + starboard, "z": -vertical},
+        "torque": {"z": of.starboard.arm_m * starboard - of.port.arm_m * port},
+    }
     stamped = make("geometry_msgs/msg/WrenchStamped", header=header(t_ns, settings.child_frame), wrench=wrench)
     return messages | {"wrench": stamped}
 
 
 def path_of(plan: Plan, settings: Settings) -> Any:
     """Return the predicted positions and headings of a plan as nav_msgs/Path, at the depth 0."""
+    yaw = 0.5 * (math.pi / 2.0 - plan.states[:, 4])
     poses = [
-        make(
-            "geometry_msgs/msg/PoseStamped",
-            header=header(int(t_ns), settings.frame),
-            pose=make(
-                "geometry_msgs/msg/Pose",
-                position=make("geometry_msgs/msg/Point", x=float(state[1]), y=float(state[0]), z=0.0),
-                orientation=_level(math.pi / 2.0 - float(state[4])),
-            ),
+        {
+            "header": header(t_ns, settings.frame),
+            "pose": {"position": {"x": east_m, "y": north_m}, "orientation": {"z": z, "w": w}},
+        }
+        for t_ns, (north_m, east_m), z, w in zip(
+            plan.t_ns.tolist(), plan.states[:, :2].tolist(), np.sin(yaw).tolist(), np.cos(yaw).tolist(), strict=True
         )
-        for t_ns, state in zip(plan.t_ns, plan.states, strict=True)
     ]
-    return make("nav_msgs/msg/Path", header=header(int(plan.t_ns[0]), settings.frame), poses=poses)
+    return make("nav_msgs/msg/Path", header=poses[0]["header"], poses=poses)
 
 
 LEVELS = {Health.NOMINAL: 0, Health.DEGRADED: 1, Health.HOLD: 1, Health.FAILSAFE: 2}
 """Level of a DiagnosticStatus (OK, WARN, ERROR) of each health."""
+
+OF_CONTROLLER = ("authority", "error_m", "progress", "arrived", "cycle_p99_us", "estimate_age_ns", "mission_action",
+                 "dropped")  # fmt: skip
+"""Fields of a ``ControllerStatus`` among the diagnostics."""
 
 
 def diagnostics_of(
     status: ControllerStatus, fence: FenceReport | None, refused: dict[str, int], t_ns: int, settings: Settings
 ) -> Any:
     """Return the status of controller, fence and this edge as diagnostic_msgs/DiagnosticArray."""
-    controller = {
-        "authority": status.authority.value,
-        "error_m": status.error_m,
-        "progress": status.progress,
-        "arrived": status.arrived,
-        "cycle_p99_us": status.cycle_p99_us,
-        "estimate_age_ns": status.estimate_age_ns,
-        "mission_action": status.mission_action.value,
-        "dropped": status.dropped,
-    }
-    rows = [
-        _status("controller", LEVELS[status.health], status.health_why or status.health.value, controller, settings),
-        _status("ros2", 1 if refused else 0, "frames refused" if refused else "no frame refused", refused, settings),
+    why = status.health_why or status.health.value
+    rows: list[tuple[str, int, str, dict[str, Any]]] = [
+        ("controller", LEVELS[status.health], why, {name: getattr(status, name) for name in OF_CONTROLLER}),
+        ("ros2", 1 if refused else 0, "frames refused" if refused else "no frame refused", {**refused}),
     ]
     if fence is not None:
-        rows.append(_fence_status(fence, settings))
-    return make("diagnostic_msgs/msg/DiagnosticArray", header=header(t_ns, ""), status=rows)
+        values = {name: getattr(fence, name) for name in ("nearest", "clearance_m", "time_to_zone_ns")}
+        zones = {"inside": ", ".join(fence.inside), "in_margin": ", ".join(fence.in_margin)}
+        rows.append(("fence", *_of_fence(fence, zones), values | zones))
+    diagnostics = [
+        {
+            "level": level,
+            "name": f"ltv_mpc: {name}",
+            "message": text,
+            "hardware_id": settings.vehicle.name,
+            "values": [{"key": key, "value": str(value)} for key, value in values.items()],
+        }
+        for name, level, text, values in rows
+    ]
+    return make("diagnostic_msgs/msg/DiagnosticArray", header=header(t_ns, ""), status=diagnostics)
 
 
-def _fence_status(fence: FenceReport, settings: Settings) -> Any:
-    """Return the row of the fence: an error inside a zone, a warning in a margin or if a zone lies ahead."""
-    inside, in_margin = ", ".join(fence.inside), ", ".join(fence.in_margin)
-    values = {
-        "nearest": fence.nearest,
-        "clearance_m": fence.clearance_m,
-        "inside": inside,
-        "in_margin": in_margin,
-        "time_to_zone_ns": fence.time_to_zone_ns,
-    }
-    if inside:
-        return _status("fence", 2, f"in a zone: {inside}", values, settings)
-    if in_margin:
-        return _status("fence", 1, f"in a margin: {in_margin}", values, settings)
+def _of_fence(fence: FenceReport, zones: dict[str, str]) -> tuple[int, str]:
+    """Return level and text: an error inside a zone, a warning in a margin or if a zone lies ahead."""
+    if zones["inside"]:
+        return 2, f"in a zone: {zones['inside']}"
+    if zones["in_margin"]:
+        return 1, f"in a margin: {zones['in_margin']}"
     if fence.time_to_zone_ns is not None:
-        text = f"the hull will be in a zone or obstacle in {fence.time_to_zone_ns * 1e-9:.0f} s"
-        return _status("fence", 1, text, values, settings)
-    return _status("fence", 0, "outside all margins", values, settings)
-
-
-def _status(name: str, level: int, text: str, values: dict[str, Any], settings: Settings) -> Any:
-    return make(
-        "diagnostic_msgs/msg/DiagnosticStatus",
-        level=level,
-        name=f"ltv_mpc: {name}",
-        message=text,
-        hardware_id=settings.vehicle.name,
-        values=[make("diagnostic_msgs/msg/KeyValue", key=key, value=str(value)) for key, value in values.items()],
-    )
+        return 1, f"the hull will be in a zone or obstacle in {fence.time_to_zone_ns * 1e-9:.0f} s"
+    return 0, "outside all margins"
 
 
 CURRENT_FIELDS = ("x", "y", "z", "east_mps", "north_mps", "sd_mps")
@@ -224,17 +206,13 @@ def cloud_of(estimate: Estimate, profile: CurrentProfile, settings: Settings) ->
     points[:, 3], points[:, 4] = profile.east_mps, profile.north_mps
     if profile.sd_mps is not None:
         points[:, 5] = profile.sd_mps
-    fields = [
-        make("sensor_msgs/msg/PointField", name=name, offset=4 * at, datatype=7, count=1)
-        for at, name in enumerate(CURRENT_FIELDS)
-    ]
+    fields = [{"name": name, "offset": 4 * at, "datatype": 7, "count": 1} for at, name in enumerate(CURRENT_FIELDS)]
     return make(
         "sensor_msgs/msg/PointCloud2",
         header=header(estimate.t_ns, settings.frame),
         height=1,
         width=len(points),
         fields=fields,
-        is_bigendian=False,
         point_step=points.strides[0],
         row_step=points.nbytes,
         data=np.frombuffer(points.tobytes(), dtype=np.uint8),
@@ -245,23 +223,12 @@ def cloud_of(estimate: Estimate, profile: CurrentProfile, settings: Settings) ->
 def reference_point_of(settings: Settings) -> Any:
     """Return the static transform from the reference point, which the odometry gives, to the vehicle's origin."""
     at = settings.vehicle.reference_point
-    stamped = make(
-        "geometry_msgs/msg/TransformStamped",
-        header=header(0, settings.child_frame),
-        child_frame_id=f"{settings.child_frame}_origin",
-        transform=make(
-            "geometry_msgs/msg/Transform",
-            translation=_vector3(-at.forward_m, at.starboard_m, at.down_m),
-            rotation=_level(0.0),
-        ),
-    )
+    stamped = {
+        "header": header(0, settings.child_frame),
+        "child_frame_id": f"{settings.child_frame}_origin",
+        "transform": {
+            "translation": {"x": -at.forward_m, "y": at.starboard_m, "z": at.down_m},
+            "rotation": {"w": 1.0},
+        },
+    }
     return make("tf2_msgs/msg/TFMessage", transforms=[stamped])
-
-
-def _vector3(x: float, y: float, z: float) -> Any:
-    return make("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
-
-
-def _level(yaw_rad: float) -> Any:
-    """Return the quaternion of a level attitude."""
-    return make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=math.sin(yaw_rad / 2.0), w=math.cos(yaw_rad / 2.0))

@@ -59,13 +59,8 @@ TABLE = (
 
 BY_NAME = {row.name: row for row in TABLE}
 
-ACTIONS: dict[tuple[str, bool], Action] = {
-    ("arm", True): Action.ARM,
-    ("arm", False): Action.DISARM,
-    ("hold", True): Action.HOLD,
-    ("stop", True): Action.STOP,
-    ("disarm", True): Action.DISARM,
-    ("release", True): Action.RELEASE,
+ACTIONS = {("arm", False): Action.DISARM} | {
+    (action.value, True): action for action in (Action.ARM, Action.HOLD, Action.STOP, Action.DISARM, Action.RELEASE)
 }
 """Command of each service and of its request's ``data``; a Trigger counts as True."""
 

@@ -23,6 +23,7 @@ import numpy as np
 
 from ltv_mpc.config import open_file
 from ltv_mpc.errors import ConfigError
+from ltv_mpc.settings_schema import flat
 from services.run import folder as run_folder
 
 R = TypeVar("R")
@@ -86,7 +87,7 @@ def open_store(folder: Path, settings: Mapping[str, Any], *, force: bool = False
             file.write(_line({"settings": here}))
             file.flush()
         there, results = read(path)
-        if differences := _differences(_flat(there), _flat(here)):
+        if differences := _differences(flat(there), flat(here)):
             problem = f"holds another campaign or one of another version ({'; '.join(differences)})"
             raise _refusal(folder, f"{problem}: name another folder, or add --force")
         yield ResultsStore(path, file, {key for key, _ in results})
@@ -134,13 +135,6 @@ def _to_list(value: Any) -> Any:
 
 def _to_array(kind: Any, value: Any) -> Any:
     return np.array(value, dtype=get_args(get_args(kind)[1])[0])
-
-
-def _flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    flat: dict[str, Any] = {}
-    for key, value in table.items():
-        flat |= _flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value}
-    return flat
 
 
 def _differences(there: Mapping[str, Any], here: Mapping[str, Any]) -> list[str]:

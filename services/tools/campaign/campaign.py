@@ -25,8 +25,7 @@ from services.tools.batch import results_store
 from services.tools.batch.executor import MAX_LOSSES, run_each
 from services.tools.batch.results_store import ResultsStore
 from services.tools.campaign import trial
-from services.tools.campaign.design import Point, points, value_at
-from services.tools.campaign.file import Campaign, Range
+from services.tools.campaign.file import Campaign, Point, Range, points, value_at
 from services.tools.campaign.keys import Value
 from services.tools.campaign.trial import Base, Row, Trial, row_of, run_config, version_of
 
@@ -117,10 +116,9 @@ def run(
     *,
     workers: int | None,
     cluster: str | None,
-    on_row: Callable[[Row], None],
     stop: Callable[[], bool],
-) -> None:
-    """Make the missing runs. ``on_row`` receives each row as it ends."""
+) -> Iterator[Row]:
+    """Make the missing runs; yield each row as it ends and is stored."""
     missing = [one for one in made.trials() if one.key not in store.keys]
 
     def lost(one: Trial) -> Row:
@@ -129,7 +127,7 @@ def run(
     work = partial(trial.run, made.base, made.version)
     for place, row in run_each(work, missing, workers=workers, cluster=cluster, stop=stop, lost=lost):
         store.append(missing[place].key, row)
-        on_row(row)
+        yield row
 
 
 def reopen_campaign(folder: Path) -> tuple[PreparedCampaign, Iterator[Row]]:

@@ -1,4 +1,4 @@
-"""Campaign file: the scenario, the fields that vary, their values, and the seeds.
+"""Campaign file: the scenario, the fields that vary, their values, the seeds, and the points that they mean.
 
     title = "which horizon in which current"
     scenario = "descent"                                  # NAME or FILE, as for `ltv-mpc sim`
@@ -31,17 +31,22 @@ Keys are those of a run's scenario.toml, and those of its vehicle's and referenc
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from functools import reduce
+import itertools
+import math
+import warnings
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import Annotated, Literal, TypeAlias
 
 import msgspec
-from msgspec import Meta
+import numpy as np
+from msgspec import Meta, inspect
+from scipy.stats import qmc
 
-from ltv_mpc import config, settings_schema
+from ltv_mpc import config
 from ltv_mpc.errors import ConfigError
-from services.tools.campaign.keys import Value, kind_of, known
+from ltv_mpc.settings_schema import Type, flat, is_text, scalar_fields, suggestion
+from services.tools.campaign.keys import KINDS, Value
 from sim.evaluation.summary import Summary
 
 MAX_RUNS = 10_000_000
@@ -66,6 +71,7 @@ class Range(_Table, frozen=True, kw_only=True):
 
 
 Choices: TypeAlias = tuple[Value, ...]
+Point: TypeAlias = dict[str, Value]
 
 
 class Seeds(_Table, frozen=True, kw_only=True):
@@ -109,28 +115,65 @@ def load(path: Path) -> Campaign:
     """Read and check a campaign file; a scenario's FILE is relative to it. Raises ``ConfigError``."""
     source = f"campaign {path}"
     table = config.read_toml(path, what="campaign")
-    flat = dict(table)
     for name in ("set", "vary", "cross"):
         if isinstance(table.get(name), dict):
-            flat[name] = dict(_flatten_keys(table[name], ""))
+            table[name] = flat(table[name], whole="low")
     if isinstance(table.get("scale"), dict):
-        flat["scale"] = {
-            name: dict(_flatten_keys(powers, "")) if isinstance(powers, dict) else powers
-            for name, powers in table["scale"].items()
+        table["scale"] = {
+            name: flat(powers) if isinstance(powers, dict) else powers for name, powers in table["scale"].items()
         }
-    campaign = config.parse(flat, Campaign, source=source)
+    campaign = config.parse(table, Campaign, source=source)
     if config.is_path(campaign.scenario):
         campaign = msgspec.structs.replace(campaign, scenario=str(path.parent / campaign.scenario))
-    _check(campaign, source)
+    for field, problem, value in _problems(campaign):
+        raise ConfigError(source, field, problem, value=value)
     return campaign
 
 
-def metrics() -> dict[str, settings_schema.Type]:
+def points(campaign: Campaign) -> list[Point]:
+    """List the points of ``vary``, each combined with all of ``cross``, the last key fastest; the order is
+    reproducible.
+    """
+    crossed = _combinations(campaign.cross)
+    return [{**laid, **more} for laid in _laid(campaign) for more in crossed]
+
+
+def _laid(campaign: Campaign) -> list[Point]:
+    """Return the points of ``vary``: all combinations, or drawn positions in the ranges, each in 0 .. 1."""
+    design, vary = campaign.design, campaign.vary
+    if design.kind == "grid":
+        return _combinations({key: over for key, over in vary.items() if not isinstance(over, Range)})
+    rng = np.random.default_rng(design.seed)
+    if design.kind == "random":
+        drawn = rng.random((design.points, len(vary)))
+    else:
+        with warnings.catch_warnings():  # another number than a power of two fills less evenly: the file's choice
+            warnings.simplefilter("ignore", UserWarning)
+            drawn = qmc.Sobol(len(vary), scramble=True, rng=rng).random(design.points)
+    return [
+        {key: value_at(key, over, share) for (key, over), share in zip(vary.items(), shares, strict=True)}
+        for shares in drawn.tolist()
+    ]
+
+
+def _combinations(lists: Mapping[str, Choices]) -> list[Point]:
+    return [dict(zip(lists, values, strict=True)) for values in itertools.product(*lists.values())]
+
+
+def value_at(key: str, over: Choices | Range, share: float) -> Value:
+    """Return the value at position ``share``, 0 .. 1, of a range or list."""
+    if isinstance(over, Range):
+        number = over.interpolate(share)
+        return round(number) if isinstance(KINDS.get(key), inspect.IntType) else number
+    return over[min(int(share * len(over)), len(over) - 1)]
+
+
+def metrics() -> dict[str, Type]:
     """Return the computed metrics of summary.json by dotted key; measured times are left out."""
     return {
         key: kind
-        for key, kind in settings_schema.scalar_fields(Summary).items()
-        if key.partition(".")[0] not in EXCLUDED_METRICS and not settings_schema.is_text(kind)
+        for key, kind in scalar_fields(Summary).items()
+        if key.partition(".")[0] not in EXCLUDED_METRICS and not is_text(kind)
     }
 
 
@@ -144,83 +187,58 @@ EXCLUDED_METRICS = frozenset(
 adds."""
 
 
-def _flatten_keys(table: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
-    """Flatten nested tables to dotted keys; a table with ``low`` is a range."""
-    for key, value in table.items():
-        name = f"{prefix}.{key}" if prefix else key
-        if isinstance(value, dict) and "low" not in value:
-            yield from _flatten_keys(value, name)
-        else:
-            yield name, value
+Problem: TypeAlias = tuple[str, str, object]
+"""Field, what is wrong with it, and its value if there is one to show."""
 
 
-def _check(campaign: Campaign, source: str) -> None:
-    """Check the rules that concern several fields. Raises ``ConfigError``."""
+def _problems(campaign: Campaign) -> Iterator[Problem]:
+    """Yield what is wrong by the rules that concern several fields; a problem is told only without those before it."""
+    grid, table_of = campaign.design.kind == "grid", dict[str, str]()
     for table, keys in (("set", campaign.settings), ("vary", campaign.vary), ("cross", campaign.cross)):
-        factors = campaign.scale if table != "set" else {}
+        names = {*KINDS, *(campaign.scale if table != "set" else ())}
         for key in keys:
-            if kind_of(key) is None and key not in factors:
-                problem = f"unknown key{settings_schema.suggestion(key, [*known(), *factors])}"
-                raise ConfigError(source, f"[{table}] {key}", problem)
-    for table, keys, other in (
-        ("vary", campaign.vary, campaign.settings),
-        ("cross", campaign.cross, campaign.settings),
-        ("cross", campaign.cross, campaign.vary),
-    ):
-        for key in keys.keys() & other.keys():
-            where = "set" if other is campaign.settings else "vary"
-            raise ConfigError(source, f"[{table}] {key}", f"is also in [{where}]: remove one of them")
+            if key not in names:
+                yield f"[{table}] {key}", f"unknown key{suggestion(key, names)}", None
+            if key in table_of:
+                yield f"[{table}] {key}", f"is also in [{table_of[key]}]: remove one of them", None
+            table_of[key] = table
     if not campaign.varied:
-        raise ConfigError(source, "[vary]", "must name at least one key to vary")
-    for key, values_or_range in campaign.vary.items():
-        _check_values(values_or_range, campaign.design.kind, f"[vary] {key}", source)
-    for key, values in campaign.cross.items():
-        _check_values(values, "grid", f"[cross] {key}", source)
+        yield "[vary]", "must name at least one key to vary", None
+    for key, over in campaign.varied.items():
+        if isinstance(over, Range):
+            yield from _of_range(f"[vary] {key}", over, grid=grid)
+        elif not over or len(set(over)) < len(over):
+            yield f"[{table_of[key]}] {key}", "must have at least one value, and none twice", None
     for name, powers in campaign.scale.items():
-        _check_factor(campaign, name, powers, source)
+        yield from _of_factor(name, powers, campaign.varied.get(name))
     if campaign.minimise not in metrics():
-        problem = f"must be a metric of summary.json{settings_schema.suggestion(campaign.minimise, metrics())}"
-        raise ConfigError(source, "minimise", problem, value=campaign.minimise)
-    sizes = [len(values) for values in campaign.cross.values()]
-    if campaign.design.kind == "grid":
-        sizes += [len(values) for values in campaign.vary.values() if not isinstance(values, Range)]
-    else:
-        sizes.append(campaign.design.points)
-    points = reduce(int.__mul__, sizes, 1)
-    if points * campaign.seeds.count > MAX_RUNS:
-        problem = f"{points} points times {campaign.seeds.count} seeds: at most {MAX_RUNS} runs"
-        raise ConfigError(source, "", problem)
+        problem = f"must be a metric of summary.json{suggestion(campaign.minimise, metrics())}"
+        yield "minimise", problem, campaign.minimise
+    lists = [over for over in (campaign.varied if grid else campaign.cross).values() if not isinstance(over, Range)]
+    count = math.prod(map(len, lists)) * (1 if grid else campaign.design.points)
+    if count * campaign.seeds.count > MAX_RUNS:
+        yield "", f"{count} points times {campaign.seeds.count} seeds: at most {MAX_RUNS} runs", None
 
 
-def _check_factor(campaign: Campaign, name: str, powers: Mapping[str, float], source: str) -> None:
-    where = f"[scale.{name}]"
-    if kind_of(name) is not None:
-        raise ConfigError(source, where, f"{name} is a field name: rename the factor")
-    values_or_range = campaign.varied.get(name)
-    if values_or_range is None:
-        raise ConfigError(source, where, f"scales {name}, which is neither in [vary] nor in [cross]")
-    for value in (values_or_range.low, values_or_range.high) if isinstance(values_or_range, Range) else values_or_range:
+def _of_range(field: str, over: Range, *, grid: bool) -> Iterator[Problem]:
+    if grid:
+        yield field, 'must be a list of values where [design] kind = "grid"', None
+    if not over.low < over.high:
+        yield f"{field}.high", f"must be > low = {over.low:g}", over.high
+    if over.scale == "log" and over.low <= 0:
+        yield f"{field}.low", 'must be > 0 where scale = "log"', over.low
+
+
+def _of_factor(name: str, powers: Iterable[str], over: Choices | Range | None) -> Iterator[Problem]:
+    if name in KINDS:
+        yield f"[scale.{name}]", f"{name} is a field name: rename the factor", None
+    if over is None:
+        yield f"[scale.{name}]", f"scales {name}, which is neither in [vary] nor in [cross]", None
+        return
+    for value in (over.low,) if isinstance(over, Range) else over:
         if isinstance(value, bool | str) or value <= 0:
-            raise ConfigError(source, f"[vary] {name}", "a factor must be > 0", value=value)
+            yield f"[vary] {name}", "a factor must be > 0", value
+    numbers = [key for key, kind in KINDS.items() if isinstance(kind, inspect.FloatType)]
     for key in powers:
-        if not isinstance(kind_of(key), msgspec.inspect.FloatType):
-            names = [one for one in known() if isinstance(kind_of(one), msgspec.inspect.FloatType)]
-            raise ConfigError(
-                source, f"{where} {key}", f"must be a field with a number{settings_schema.suggestion(key, names)}"
-            )
-
-
-def _check_values(values_or_range: Choices | Range, design: str, field: str, source: str) -> None:
-    if isinstance(values_or_range, Range):
-        if design == "grid":
-            raise ConfigError(source, field, 'must be a list of values where [design] kind = "grid"')
-        if not values_or_range.low < values_or_range.high:
-            raise ConfigError(
-                source, f"{field}.high", f"must be > low = {values_or_range.low:g}", value=values_or_range.high
-            )
-        if values_or_range.scale == "log" and values_or_range.low <= 0:
-            raise ConfigError(source, f"{field}.low", 'must be > 0 where scale = "log"', value=values_or_range.low)
-    elif not values_or_range:
-        raise ConfigError(source, field, "must have at least one value")
-    elif len(set(values_or_range)) < len(values_or_range):
-        raise ConfigError(source, field, "must not have a value twice")
+        if key not in numbers:
+            yield f"[scale.{name}] {key}", f"must be a field with a number{suggestion(key, numbers)}", None

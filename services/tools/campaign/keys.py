@@ -24,24 +24,12 @@ Value: TypeAlias = bool | int | float | str
 VEHICLE, REFERENCE, CONTROLLER = "vehicle", "reference", "controller"
 
 
-def kind_of(key: str) -> settings_schema.Type | None:
-    """Return the type of a field that a campaign may set; None if there is no such field."""
-    return _KINDS.get(key)
-
-
-def known() -> list[str]:
-    """List all keys that a campaign may set."""
-    return list(_KINDS)
-
-
 def value_of(run_config: RunConfig, key: str) -> Value | None:
     """Return the value of a run's settings at ``key``; None if its table is left out."""
-    table, _, rest = key.partition(".")
-    owners = {VEHICLE: run_config.vehicle, REFERENCE: run_config.reference, CONTROLLER: run_config.controller}
-    plain = msgspec.to_builtins(owners.get(table, run_config.scenario))
-    for step in (rest if table in owners else key).split("."):
-        plain = plain.get(step) if isinstance(plain, dict) else None
-    return plain if isinstance(plain, bool | int | float | str) else None
+    tables = {VEHICLE: run_config.vehicle, REFERENCE: run_config.reference, CONTROLLER: run_config.controller}
+    plain = msgspec.to_builtins(run_config.scenario) | msgspec.to_builtins(tables)
+    value: Value | None = settings_schema.flat(plain).get(key)
+    return value
 
 
 def of(owner: str, settings: Mapping[str, Value]) -> dict[str, Value]:
@@ -79,7 +67,7 @@ def _optional_too(kind: Any, prefix: str) -> Iterator[tuple[str, settings_schema
             yield f"{prefix}{key}", found
 
 
-_KINDS: dict[str, settings_schema.Type] = {
+KINDS: dict[str, settings_schema.Type] = {
     **{
         key: kind
         for key, kind in settings_schema.scalar_fields(Scenario).items()
@@ -88,3 +76,4 @@ _KINDS: dict[str, settings_schema.Type] = {
     **dict(_optional_too(Vehicle, f"{VEHICLE}.")),
     **{key: kind for one in Reference.__args__ for key, kind in _optional_too(one, f"{REFERENCE}.")},
 }
+"""Types of the fields that a campaign may set, by key."""

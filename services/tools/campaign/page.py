@@ -7,7 +7,7 @@ A grid shows, for each field, the mean over seeds at each of its values, a line 
 from __future__ import annotations
 
 import html
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +21,7 @@ from services.reporting.plots.table import Columns
 from services.runtime.console import counted
 from services.tools.campaign.campaign import reopen_campaign
 from services.tools.campaign.file import Campaign, Range
-from services.tools.campaign.ranking import ConfidenceInterval, Scores, Standing, interval, ranked, scores
-from services.tools.campaign.text import difference, failures, span
+from services.tools.campaign.ranking import HEAD, ConfidenceInterval, Scores, cells, failures, interval, ranked, scores
 
 NAME = "report.html"
 MAX_POINTS, MAX_LINES = 40, 8
@@ -33,13 +32,13 @@ def write(folder: Path) -> Path:
     made, found = reopen_campaign(folder)
     campaign, rows = made.campaign, list(found)
     of = scores(rows, campaign.minimise, campaign.varied)
-    best = ranked(of, MAX_POINTS)
-    failed = [row for row in rows if row["failed"] is not None]
+    head = ((name, NUMBER) for name in (*campaign.varied, *HEAD))
+    best = "".join(row((cell, NUMBER) for cell in cells(one)) for one in ranked(of, MAX_POINTS))
     counts = f"{counted(len(rows), 'run')} at {counted(len(of.values), 'point')}"
     lines = [
         html.escape(f"{counts}, {campaign.design.kind} design: {campaign.scenario}"),
         f"{html.escape(campaign.minimise)}: mean over seeds, bands of 95 % by bootstrap, differences paired by seed",
-        *(f'<span class="bad">{html.escape(line)}</span>' for line in failures(failed)),
+        *(f'<span class="bad">{html.escape(line)}</span>' for line in failures(rows)),
     ]
     out = folder / NAME
     panels = [_panel(campaign, of, key) for key in campaign.varied]
@@ -50,7 +49,7 @@ def write(folder: Path) -> Path:
         [plot for plot, _ in panels],
         tables,
         lines="\n".join(f"<p>{line}</p>" for line in lines),
-        below=_table(best, list(campaign.varied)),
+        below=f'<section class="panel wide"><h2>The best points</h2>{table("The best points", head, best)}</section>',
     )
     return out
 
@@ -87,7 +86,7 @@ def _panel(campaign: Campaign, of: Scores, key: str) -> tuple[Plot, dict[str, Co
         }
         series.append(Series("", key, "x", "mean", palette.ESTIMATE, Style.POINT))
     x, y = Axis(key, log=isinstance(over, Range) and over.scale == "log", rows=rows), Axis(campaign.minimise)
-    plot = Plot(name=key, title=key, x=x, y=y, over_time=False, group="Effect of each field", series=tuple(series))
+    plot = Plot(name=key, title=key, x=x, y=y, group="Effect of each field", series=tuple(series))
     return plot, tables
 
 
@@ -114,23 +113,3 @@ def _over(of: Scores, settings: Mapping[str, object]) -> ConfidenceInterval | No
             by_seed.setdefault(seed, []).append(value)
     means = [float(np.mean(values)) for _, values in sorted(by_seed.items())]
     return interval(np.array(means)) if means else None
-
-
-def _table(standings: Sequence[Standing], keys: Sequence[str]) -> str:
-    rows = "".join(
-        row(
-            (text, NUMBER)
-            for text in (
-                *(_short(one.settings[key]) for key in keys),
-                "–" if one.value is None else f"{one.value.mean:.4g}",
-                *(span(one.value), difference(one.over_best), str(one.runs), str(one.failed or "")),
-            )
-        )
-        for one in standings
-    )
-    head = ((name, NUMBER) for name in (*keys, "mean", "95 %", "over the best", "runs", "failed"))
-    return f'<section class="panel wide"><h2>The best points</h2>{table("The best points", head, rows)}</section>'
-
-
-def _short(value: object) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else str(value)

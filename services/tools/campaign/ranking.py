@@ -8,17 +8,23 @@ difference  to another point: of the same seeds, whose water and noises are the 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import msgspec
 import numpy as np
 
+from ltv_mpc.errors import one_line
 from ltv_mpc.messages import Array
 from services.tools.campaign.trial import Row
 
 RESAMPLES = 2000
 CONFIDENCE = 0.95
+MAX_FAILURES = 5
+
+HEAD = ("mean", "95 %", "over the best", "runs", "failed")
+"""Head of the table of points, behind the varied keys."""
 
 
 class ConfidenceInterval(msgspec.Struct, frozen=True, kw_only=True):
@@ -59,7 +65,7 @@ def scores(rows: Iterable[Row], figure: str, keys: Iterable[str]) -> Scores:
         made.settings.setdefault(point, {key: row[key] for key in keys})
         made.values.setdefault(point, {})
         made.failed.setdefault(point, 0)
-        if row["failed"] is not None or row[figure] is None:
+        if row.get(figure) is None:
             made.failed[point] += 1
         else:
             made.values[point][row["seed"]] = row[figure]
@@ -96,3 +102,26 @@ def interval(values: Array) -> ConfidenceInterval:
     drawn = np.random.default_rng(0).integers(0, len(values), (RESAMPLES, len(values)))
     low, high = np.quantile(values[drawn].mean(axis=1), [0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2])
     return ConfidenceInterval(mean=mean, low=float(low), high=float(high))
+
+
+def cells(of: Standing) -> list[str]:
+    """Return the row of a point in the table: the values of its keys, and the columns of ``HEAD``."""
+    settings = [f"{value:.4g}" if isinstance(value, float) else one_line(str(value)) for value in of.settings.values()]
+    mean = "–" if of.value is None else f"{of.value.mean:.4g}"
+    over = "" if of.over_best is None else f"{of.over_best.mean:+.3g} ({_span(of.over_best)})".removesuffix(" ()")
+    return [*settings, mean, _span(of.value), over, str(of.runs), str(of.failed or "")]
+
+
+def _span(of: ConfidenceInterval | None) -> str:
+    """Format the limits of an interval."""
+    return "" if of is None or of.low is None or of.high is None else f"{of.low:.3g} to {of.high:.3g}"
+
+
+def failures(rows: Sequence[Row]) -> list[str]:
+    """List the most frequent reasons why runs failed, with count and an example point and seed."""
+    failed = [row for row in rows if row["failed"] is not None]
+    count: Counter[str] = Counter(row["failed"] for row in failed)
+    example = {row["failed"]: f"point {row['point']}, seed {row['seed']}" for row in reversed(failed)}
+    lines = [f"{n} failed: {why} ({example[why]})" for why, n in count.most_common(MAX_FAILURES)]
+    left = len(count) - len(lines)
+    return [*lines, *([f"and {left} other reasons"] if left > 0 else [])]

@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 from msgspec import inspect
 
 from services.tools.campaign.file import Campaign, Range, metrics
-from services.tools.campaign.keys import kind_of
+from services.tools.campaign.keys import KINDS
 from services.tools.campaign.trial import COUNTS, TIMING, Row
 
 RESULTS, TIMES = "results.parquet", "timing.parquet"
@@ -28,14 +28,14 @@ def schema(campaign: Campaign) -> pa.Schema:
     values = [
         (key, pa.int64() if isinstance(kind, inspect.IntType) else pa.float64()) for key, kind in metrics().items()
     ]
-    counts = [(f"{table}.{name}", pa.int64()) for table, names in COUNTS.items() for name in names]
+    counts = [(key, pa.int64()) for key in COUNTS]
     measured = [("host", pa.string()), ("ended", pa.string()), ("wall_s", pa.float64())]
     return pa.schema([*who, *varied, *what, *values, *counts, *measured])
 
 
 def _column(key: str, over: object) -> pa.DataType:
     """Return the column type of a varied key, from the field's type and its values."""
-    kind = kind_of(key)
+    kind = KINDS.get(key)
     values = () if isinstance(over, Range) or not isinstance(over, tuple) else over
     if any(isinstance(value, str) for value in values):
         return pa.string()

@@ -23,28 +23,27 @@ import msgspec
 import services
 from ltv_mpc.control import solvers
 from ltv_mpc.control.resolution import settled
-from ltv_mpc.errors import ConfigError, format_value, one_line
+from ltv_mpc.errors import ConfigError, one_line
 from ltv_mpc.messages import PlanOrigin, SolveStatus
 from ltv_mpc.references import Reference
+from ltv_mpc.settings_schema import flat
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.run.provenance import provenance_table
 from services.run.run_config import Override, RunConfig, resolve
 from services.tools import lockstep_run
 from services.tools.campaign import keys
-from services.tools.campaign.design import Point
-from services.tools.campaign.file import metrics
+from services.tools.campaign.file import Point, metrics
 from services.tools.campaign.keys import Value
-from sim.evaluation.summary import Summary
 
 Base: TypeAlias = tuple[tuple[str, str], ...]
 """Files of a run's folder, as (path, text), from ``RunConfig.files``."""
 
 Row: TypeAlias = dict[str, Any]
 
-COUNTS: Mapping[str, tuple[str, ...]] = {
-    "qp_status": tuple(status.value for status in SolveStatus),
-    "plan_origin": tuple(origin.value for origin in PlanOrigin),
-}
+COUNTS = (
+    *(f"qp_status.{status.value}" for status in SolveStatus),
+    *(f"plan_origin.{origin.value}" for origin in PlanOrigin),
+)
 """Counts by name of summary.json; each is a column, with 0 if the name is missing."""
 
 TIMING = ("host", "ended", "wall_s")
@@ -78,19 +77,20 @@ def run(base: Base, version: str, trial: Trial) -> Row:
         )
     started = time.perf_counter()
     try:
-        result = flat(lockstep_run.run(run_config(base, trial.settings, trial.factors, trial.seed)))
+        summary = lockstep_run.run(run_config(base, trial.settings, trial.factors, trial.seed))
     except Exception as error:  # one failed run does not end the campaign; its row gives the reason
         problem = str(error) if isinstance(error, ConfigError) else f"{type(error).__name__}: {error}"
         return row_of(trial, version, one_line(problem)[:500])
+    found = flat(msgspec.to_builtins(summary))
+    result = {key: found.get(key) for key in metrics()} | {key: found.get(key, 0) for key in COUNTS}
     return row_of(trial, version) | result | {"wall_s": time.perf_counter() - started}
 
 
 def row_of(trial: Trial, version: str, failed: str = "") -> Row:
     """Return a row without metrics."""
-    nothing = dict.fromkeys([*metrics(), *(f"{table}.{name}" for table, names in COUNTS.items() for name in names)])
-    timing = {"host": platform.node(), "ended": datetime.now(UTC).isoformat(timespec="milliseconds"), "wall_s": None}
+    timing = {"host": platform.node(), "ended": datetime.now(UTC).isoformat(timespec="milliseconds")}
     who = {"point": trial.point, "seed": trial.seed, "version": version, "failed": failed or None}
-    return {**who, **trial.varied, **nothing, **timing}
+    return {**who, **trial.varied, **timing}
 
 
 def version_of(table: Mapping[str, str]) -> str:
@@ -113,7 +113,10 @@ def run_config(base: Base, settings: Mapping[str, Value], factors: Mapping[str, 
 
 
 def _with_settings(base: Base, settings: Mapping[str, Value], seed: int) -> RunConfig:
-    own = [f"{key}={_toml(value)}" for key, value in keys.of_scenario(settings).items()]
+    own = [
+        f"{key}={str(value).lower() if isinstance(value, bool) else value}"
+        for key, value in keys.of_scenario(settings).items()
+    ]
     here = resolve(str(_folder(base) / "scenario.toml"), [Override("campaign", [*own, f"run.seed={seed}"])])
     if of_vehicle := keys.of(keys.VEHICLE, settings):
         vehicle = keys.with_values(here.vehicle, Vehicle, of_vehicle, keys.VEHICLE)
@@ -122,24 +125,6 @@ def _with_settings(base: Base, settings: Mapping[str, Value], seed: int) -> RunC
     if of_reference := keys.of(keys.REFERENCE, settings):
         here = replace(here, reference=keys.with_values(here.reference, Reference, of_reference, keys.REFERENCE))
     return here
-
-
-def flat(summary: Summary) -> Row:
-    """Return the metrics by column."""
-    plain = msgspec.to_builtins(summary)
-    row: Row = {}
-    for key in metrics():
-        outer, _, inner = key.partition(".")
-        row[key] = plain[outer][inner] if inner else plain[outer]
-    for table, names in COUNTS.items():
-        row |= {f"{table}.{name}": plain[table].get(name, 0) for name in names}
-    return row
-
-
-def _toml(value: Value) -> str:
-    return (
-        format_value(value) if isinstance(value, bool) else str(value) if not isinstance(value, float) else repr(value)
-    )
 
 
 @lru_cache(maxsize=4)

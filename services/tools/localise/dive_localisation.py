@@ -8,11 +8,11 @@ independent of where the track starts.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -28,16 +28,8 @@ from ltv_mpc.localisation.recorded_dive.filter import Track, run
 from ltv_mpc.localisation.recorded_dive.noise import BeamNoise
 from ltv_mpc.localisation.recorded_dive.parameters import DiveParameters
 from ltv_mpc.localisation.recorded_dive.truth import BottomTrackPath, dead_reckon
-from ltv_mpc.localisation.recorded_dive.uniformity import uniformity
+from ltv_mpc.localisation.recorded_dive.uniformity import Uniformity, uniformity
 from ltv_mpc.messages import Array
-from services.tools.localise.dive_result import (
-    InstrumentRow,
-    LocalisationResult,
-    LostBytes,
-    StudyRow,
-    TrackRow,
-    WaterRow,
-)
 
 MAX_STARTS = 60
 MOST_NIS, LEAST_INSIDE = 3.0, 0.9
@@ -48,6 +40,71 @@ COLUMNS = (
     *("bottom_north_m", "bottom_east_m"),
 )
 """Columns of track.csv. Positions are relative to the first ensemble; those of bottom track are the truth."""
+
+
+class InstrumentRow(msgspec.Struct, frozen=True, kw_only=True):
+    """Instrument settings in the file, and the estimated noise."""
+
+    frequency_kHz: int
+    beam_angle_deg: float
+    looks: str
+    coordinates: str
+    bins_mapped: bool
+    cells: int
+    cell_m: float
+    first_cell_m: float
+    pings: int
+    beam_sd_mps: float  # median over the cells
+
+
+class TrackRow(msgspec.Struct, frozen=True, kw_only=True):
+    """Track from the selected start."""
+
+    start_ensemble: int
+    start_depth_m: float
+    ensembles: int
+    duration_s: float
+    fixes: int
+    end_north_m: float
+    end_east_m: float
+    end_sigma_m: float  # along the worst axis
+    cells_used: int
+    cells_screened: int
+    cells_rejected: int
+    nis: float
+
+
+class StudyRow(msgspec.Struct, frozen=True, kw_only=True):
+    """Statistics over all starts for which a true track exists."""
+
+    starts: int
+    median_error_m: float
+    median_constant_velocity_error_m: float | None  # None without a fix
+    ratio: float | None
+    inside_3_sigma: float  # share
+    each: tuple[study.StartResult, ...]
+
+
+class LocalisationResult(msgspec.Struct, frozen=True, kw_only=True):
+    """Content of localise.json, and the output of ``--json``.
+
+    ``error`` and ``study`` are None if the file holds no truth for them.
+    """
+
+    file: str
+    bytes: int
+    ensembles: int
+    lost_bytes: int
+    lost_places: int
+    losses: tuple[dict[str, Any], ...]  # offset, length, why
+    surface_fixes: int
+    instrument: InstrumentRow
+    track: TrackRow
+    water: Uniformity | None  # None: too little bottom track
+    error: study.StartResult | None
+    study: StudyRow | None
+    notes: tuple[str, ...]
+    parameters: DiveParameters
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,11 +153,11 @@ def localise(
         ensembles=len(ensembles),
         lost_bytes=recording.lost_bytes,
         lost_places=recording.lost_places,
-        losses=tuple(LostBytes(offset=x.offset, length=x.length, why=x.why) for x in recording.losses),
+        losses=tuple(loss._asdict() for loss in recording.losses),
         surface_fixes=fixes,
         instrument=_instrument(settings, noise),
         track=_track(track, dive, ensembles[first].number),
-        water=None if water is None else WaterRow(**dataclasses.asdict(water)),
+        water=water,
         error=error,
         study=many,
         notes=(*heads, *_notes(settings, dive, track, why), *_inconsistency(track, many)),
@@ -133,7 +190,7 @@ def write(outcome: Outcome, folder: Path) -> str:
     try:
         plot.write(outcome, folder / "localise.html")
     except NoPlotly as error:
-        return f"no plots: {error}: pip install plotly (extra viz)"
+        return f"no plots: {error}"
     return ""
 
 

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ltv_mpc.localisation.recorded_dive.filter import Track
 from ltv_mpc.messages import Array
 from services.reporting import report
 from services.reporting.plots import palette
-from services.reporting.plots.catalogue import TIME
 from services.reporting.plots.description import Axis, Plot, Series, Style
 from services.reporting.plots.newest import outline
 from services.reporting.plots.table import Columns, short
+
+if TYPE_CHECKING:
+    from services.tools.localise.dive_localisation import Outcome
 
 RESULT = "Recorded dive"
 
@@ -24,7 +25,6 @@ PLOTS = (
         title="Horizontal track",
         x=Axis("east (m)"),
         y=Axis("north (m)"),
-        over_time=False,
         equal=True,
         group=RESULT,
         series=(
@@ -37,7 +37,6 @@ PLOTS = (
     Plot(
         name="error",
         title="Position error against bottom track",
-        x=TIME,
         y=Axis("distance (m)"),
         group=RESULT,
         series=(
@@ -53,7 +52,6 @@ PLOTS = (
         title="Current at the end, with 1 sigma",
         x=Axis("current (m/s)"),
         y=Axis("depth (m)", downwards=True),
-        over_time=False,
         group=RESULT,
         series=tuple(
             series
@@ -67,23 +65,7 @@ PLOTS = (
 )
 
 
-class PlotData(Protocol):
-    """Data of the plots."""
-
-    @property
-    def track(self) -> Track:
-        """Track of the filter."""
-
-    @property
-    def truth_m(self) -> Array:
-        """Positions from bottom track, (N, 2), NaN if unknown."""
-
-    @property
-    def constant_velocity_mps(self) -> Array | None:
-        """Mean velocity of the fixes, (2,)."""
-
-
-def write(data: PlotData, out: Path) -> None:
+def write(data: Outcome, out: Path) -> None:
     """Write the page of plots. Raises ``NoPlotly``."""
     track, water = data.track, data.track.water
     spread = np.sqrt(np.linalg.eigvalsh(track.position_covariance)[:, -1].clip(0))

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from ltv_mpc.localisation.recorded_dive.study import MAX_START_DEPTH_M, MIN_START_DEPTH_M, WINDOW_S, StartResult
-from services.tools.localise.dive_result import LocalisationResult, StudyRow, WaterRow
+from ltv_mpc.localisation.recorded_dive.uniformity import Uniformity
+from services.tools.localise.dive_localisation import LocalisationResult, StudyRow
 
 _STARTS = f"between {MIN_START_DEPTH_M:g} and {MAX_START_DEPTH_M:g} m"
 
@@ -14,7 +15,7 @@ def text(result: LocalisationResult) -> str:
     lost = f"{result.lost_bytes} bytes lost in {result.lost_places} places" if result.lost_places else "no byte lost"
     rows = [
         ("file", f"{result.file}: {result.ensembles} ensembles, {lost}"),
-        *(("", f"byte {x.offset}: {x.length} bytes: {x.why}") for x in result.losses[:3]),
+        *(("", f"byte {x['offset']}: {x['length']} bytes: {x['why']}") for x in result.losses[:3]),
         (
             "instrument",
             f"{i.frequency_kHz} kHz, {i.beam_angle_deg:g} deg beams looking {i.looks}, {i.coordinates} coordinates,"
@@ -34,7 +35,7 @@ def text(result: LocalisationResult) -> str:
     return "\n".join(f"{name:<11} {words}" for name, words in rows)
 
 
-def _water_text(w: WaterRow | None) -> str:
+def _water_text(w: Uniformity | None) -> str:
     if w is None:
         return "too little bottom track to tell whether it is horizontally uniform"
     change = f"changes by {100 * w.change_mps:.0f} cm/s along {w.run_m:.0f} m"

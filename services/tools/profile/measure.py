@@ -128,16 +128,16 @@ def measure(
     *,
     warm_up: Episode,
     order: random.Random,
-    progress: Callable[[Sequence[Samples]], None],
+    progress: Callable[[], None],
 ) -> list[Samples]:
     """Measure each candidate over all episodes of one horizon.
 
-    ``progress`` is called after each cycle with the measurements so far, none of which is of the warm-up.
+    ``progress`` is called after each cycle, also of the warm-up.
     """
     samples = [Samples(episodes[0].config) for _ in candidates]
-    _run(warm_up, candidates, [Samples(warm_up.config) for _ in candidates], order, lambda: progress(samples))
+    _run(warm_up, candidates, [Samples(warm_up.config) for _ in candidates], order, progress)
     for episode in episodes:
-        _run(episode, candidates, samples, order, lambda: progress(samples))
+        _run(episode, candidates, samples, order, progress)
     return samples
 
 

@@ -6,8 +6,9 @@ are equally near the exact solution.
 
 from __future__ import annotations
 
+import itertools
 import random
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 
 import msgspec
 import numpy as np
@@ -28,9 +29,6 @@ WARM_UP = 20
 """Cycles of a descent that are solved before any is measured: cold caches, and what is set up at first use."""
 
 MOST_STAGES = 400
-
-PARTIAL = (0.1, 0.5)
-"""Shares of a horizon's cycles after which its rows are reported, before all are measured."""
 
 
 class Spread(msgspec.Struct, frozen=True, kw_only=True):
@@ -123,8 +121,7 @@ def run(
     solvers: Sequence[SolverByName],
     *,
     seed: int,
-    progress: Callable[[], None],
-    on_rows: Callable[[Sequence[Row]], None] = lambda _: None,
+    progress: Callable[[float], None],
 ) -> Profile:
     """Measure PIQP and each solver on the episodes of each horizon. Raises ``ConfigError`` if no cycle was solved.
 
@@ -133,39 +130,30 @@ def run(
     by_horizon : the episodes of each horizon.
     solvers : measured beside PIQP.
     seed : of the order of the solvers.
-    progress : called after each cycle, also of the warm-up.
-    on_rows : called with the rows of a horizon, first of the shares ``PARTIAL`` of its cycles, then of all.
+    progress : receives the share done.
     """
     candidates: tuple[Piqp | SolverByName, ...] = (YARDSTICK, RELAXED, *solvers)
     order = random.Random(seed)
     rows: list[Row] = []
     load_before = load()
+    total = sum(WARM_UP + sum(episode.cycles for episode in episodes) for episodes in by_horizon)
+    done = itertools.count(1)
+
+    def advance() -> None:
+        progress(next(done) / total)
+
     for episodes in by_horizon:
         stages = episodes[0].config.stages
         (warm_up,) = problems.simulated(stages, 1, seed)[:1]
         warm_up = warm_up._replace(cycles=WARM_UP)
-        cycles = sum(episode.cycles for episode in episodes)
-        partial = {int(share * cycles) for share in PARTIAL}
-
-        def after_cycle(so_far: Sequence[Samples], partial: Collection[int] = partial) -> None:
-            progress()
-            if len(so_far[0].cycle_us) in partial:
-                on_rows(_rows(candidates, so_far))
-
-        measured = measure(episodes, candidates, warm_up=warm_up, order=order, progress=after_cycle)
+        measured = measure(episodes, candidates, warm_up=warm_up, order=order, progress=advance)
         if not measured[0].cycle_us:
             raise ConfigError("option --run", "", "has no solved cycle of the controller: name another run")
-        rows += _rows(candidates, measured)
-        on_rows(rows[-len(candidates) :])
+        rows += [_row(who.name, samples, measured[0]) for who, samples in zip(candidates, measured, strict=True)]
     kinds = dict.fromkeys((episode.kind for episode in by_horizon[0]), 0)
     for episode in by_horizon[0]:
         kinds[episode.kind] += episode.cycles
     return Profile(rows=rows, problems=kinds, machine=machine(load_before))
-
-
-def _rows(candidates: Sequence[Piqp | SolverByName], measured: Sequence[Samples]) -> list[Row]:
-    yardstick = measured[candidates.index(YARDSTICK)]
-    return [_row(who.name, samples, yardstick) for who, samples in zip(candidates, measured, strict=True)]
 
 
 def _row(solver: str, samples: Samples, yardstick: Samples) -> Row:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from services.runtime.console import counted, fold
+from services.runtime.console import fold
 from services.tools.profile import machine_description
 from services.tools.profile.measure import STAGES
 from services.tools.profile.run import Profile, Row
@@ -54,12 +54,6 @@ def _cycles(rows: Sequence[Row]) -> list[str]:
             f"  {', '.join(f'{name} {count}' for name, count in row.status.items())}"
         )
     return lines
-
-
-def short(row: Row) -> str:
-    """Format the time of a cycle in one line of 80 columns."""
-    times = f"median {row.cycle_us.median:.0f} us, p99 {row.cycle_us.p99:.0f} us"
-    return f"{_names(row)} {times} of {counted(row.cycles, 'cycle')}"
 
 
 def _stages(rows: Sequence[Row]) -> list[str]:

@@ -14,12 +14,12 @@ from benchmarks.faults import campaign, inject, kinds, lockstep, process_runs, r
 from benchmarks.faults.__main__ import main
 from benchmarks.faults.draw import Run
 from benchmarks.faults.kinds import Fault, Place
+from benchmarks.faults.message_faults import MessageFault
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.options import BusOptions
 from services.replay import replay
 from services.supervisor.entry_point import read_config, write_config
 from services.tools.batch.results_store import NAME, read
-from sim.faults.message_faults import MessageFault
 
 
 @pytest.mark.timeout(400)

@@ -6,11 +6,11 @@ import pytest
 
 from benchmarks.faults import inject
 from benchmarks.faults.inject import Injection, Interference, unlike_at_a
+from benchmarks.faults.message_faults import MessageFault
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import PressureDepth
 from services.bus.topics import BY_TYPE
 from services.bus.wire import Header, encode
-from sim.faults.message_faults import MessageFault
 
 MS, S = 1_000_000, 1_000_000_000
 TOPIC = BY_TYPE[PressureDepth]

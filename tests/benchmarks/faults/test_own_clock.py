@@ -5,10 +5,10 @@ from __future__ import annotations
 import msgspec
 import pytest
 
+from benchmarks.faults.effects import Interval
 from benchmarks.faults.own_clock import ClockStepFault, OwnClock
 from ltv_mpc.messages import ClockStep, Estimate
 from ltv_mpc.node import ReceivedMessage
-from sim.faults.interval import Interval
 
 S, MS = 1_000_000_000, 1_000_000
 

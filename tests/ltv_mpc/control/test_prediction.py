@@ -12,7 +12,7 @@ from ltv_mpc.control.delay import Delay
 from ltv_mpc.control.prediction import Prediction, currents_at_depths
 from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.messages import Applied, CycleTiming
-from ltv_mpc.vehicle.dynamics import derivative, heave_acceleration
+from ltv_mpc.vehicle.dynamics import heave_acceleration, rates
 from tests.ltv_mpc.plans import plan_of
 
 PAPER = Vehicle.load("paper")
@@ -73,8 +73,7 @@ def test_the_prediction_agrees_with_an_independent_integration():
         u = commands.at(np.array([round(t * 1e9)]))[0]
         c = currents_at_depths(PROFILE, y[8:9])[0]
         slope = (currents_at_depths(PROFILE, y[8:9] + 1e-6)[0] - currents_at_depths(PROFILE, y[8:9] - 1e-6)[0]) / 2e-6
-        dx = np.empty(6)
-        derivative(y[:6], y[6:8], c, slope * y[9], P, dx)
+        dx = rates(*y[2:8], *c, *slope * y[9], P)
         lateral = (u[:2] - y[6:8]) / 0.3
         return np.concatenate([dx, lateral, [y[9], heave_acceleration(y[9], y[10], P), (u[2] - y[10]) / 0.3]])
 

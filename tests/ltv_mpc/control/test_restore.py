@@ -232,7 +232,7 @@ def test_the_learned_current_is_restored_and_less_certain_after_a_while():
 @pytest.mark.parametrize(
     ("mean", "covariance", "why"),
     [
-        (LEARNED.mean[:4], LEARNED.covariance, "must be (12,)"),
+        (LEARNED.mean[:4], LEARNED.covariance, "must be (12)"),
         (LEARNED.mean, LEARNED.covariance[:4], "must be (12, 12)"),
         (LEARNED.mean, -LEARNED.covariance, "must not be negative"),
         (LEARNED.mean, LEARNED.covariance + 1e-4 * np.eye(12, k=1), "symmetric"),

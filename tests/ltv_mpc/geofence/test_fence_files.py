@@ -35,6 +35,10 @@ def plan(polygons: list[tuple[bool, list[list[float]]]], circles: list[tuple[boo
     return json.dumps({"fileType": "Plan", "geoFence": fence, "mission": mission})
 
 
+def item(command: int, first: float = 0.0) -> tuple[int, float, int, float, float]:
+    return command, first, 0, 50.0, -5.0
+
+
 def items(*rows: tuple[int, float, int, float, float]) -> str:
     lines = [f"{k}\t0\t3\t{c}\t{p1}\t{p2}\t0\t0\t{n:.8f}\t{e:.8f}\t0\t1" for k, (c, p1, p2, n, e) in enumerate(rows)]
     return "\n".join(["QGC WPL 110", *lines])
@@ -43,8 +47,11 @@ def items(*rows: tuple[int, float, int, float, float]) -> str:
 def test_the_polygons_and_circles_of_a_plan_and_of_a_list_are_zones(tmp_path: Path) -> None:
     out, centre = square(0.0002, 0.0002), [50.2004, -5.0996]
     (tmp_path / "f.plan").write_text(plan([(True, square(0.0, 0.0)), (False, out)], [(False, centre, 4.0)]))
-    rows = [(16, 0.0, 0, 50.2, -5.1)]
-    rows += [(5001, 4.0, 0, *corner) for corner in square(0.0, 0.0)] + [(5002, 4.0, 0, *corner) for corner in out]
+    rows = (
+        [ITEM_0]
+        + [(5001, 4.0, 0, *corner) for corner in square(0.0, 0.0)]
+        + [(5002, 4.0, 0, *corner) for corner in out]
+    )
     (tmp_path / "f.WAYPOINTS").write_text(items(*rows, (5004, 4.0, 0, *centre)))
     for name in ("f.plan", "f.WAYPOINTS"):
         notes: list[str] = []
@@ -86,23 +93,11 @@ def test_inclusion_zones_of_one_group_are_their_union(tmp_path: Path) -> None:
         ("f.plan", "{}", "is no fence: 'mission'"),
         ("f.plan", plan([], [(True, [50.2, -5.1], -5.0)]), "circles[0] radius = -5.0: must be above 0"),
         ("f.plan", plan([], []), "no zone: give at least one"),
-        (
-            "f.waypoints",
-            items(ITEM_0, (5001, 3.0, 0, 50.0, -5.0), (5002, 3.0, 0, 50.0, -5.0)),
-            "item 2: the polygon before it has 1 of 3",
-        ),
-        (
-            "f.waypoints",
-            items(ITEM_0, (5001, 3.0, 0, 50.0, -5.0)),
-            "the last polygon has 1 of 3 vertices",
-        ),
-        (
-            "f.waypoints",
-            items((16, 0.0, 0, 50.0, -5.0), (16, 0.0, 0, 50.0, -5.0)),
-            "item 1 MAV_CMD_NAV_WAYPOINT (16): is no part of a fence",
-        ),
-        ("f.waypoints", items((5003, 9.0, 0, 50.0, -5.0)), "has no home"),
-        ("f.waypoints", items(ITEM_0, (5003, 0.0, 0, 50.0, -5.0)), "item 1 radius = 0"),
+        ("f.waypoints", items(ITEM_0, item(5001, 3.0), item(5002, 3.0)), "item 2: the polygon before it has 1 of 3"),
+        ("f.waypoints", items(ITEM_0, item(5001, 3.0)), "the last polygon has 1 of 3 vertices"),
+        ("f.waypoints", items(item(16), item(16)), "item 1 MAV_CMD_NAV_WAYPOINT (16): is no part of a fence"),
+        ("f.waypoints", items(item(5003, 9.0)), "has no home"),
+        ("f.waypoints", items(ITEM_0, item(5003)), "item 1 radius = 0"),
     ],
 )
 def test_what_is_no_fence_is_refused_by_item(tmp_path: Path, name: str, text: str, says: str) -> None:

@@ -5,14 +5,13 @@ from __future__ import annotations
 import itertools
 import math
 
-import msgspec
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from ltv_mpc.geofence.fence import Disc, Fence, Polygon, Zone
+from ltv_mpc.geofence.fence import Disc, Fence, Polygon
 from ltv_mpc.geofence.route import SLACK_M, Router
 from ltv_mpc.geofence.zones import Zones, clearances, pack_zones
 from ltv_mpc.messages import Array
@@ -64,33 +63,6 @@ def test_a_way_keeps_the_clearance_and_reaches_the_goal(name: str) -> None:
     way = of.way(START, GOAL)
     np.testing.assert_array_equal(way[-1], GOAL)
     assert clearances(zones, along(START, way)).min() > 1.0 - 2e-3
-
-
-def moved(fence: Fence) -> Fence:
-    """Return the fence turned by 90 degrees, and moved to the south and the west of the origin."""
-
-    def place(of: Place) -> Place:
-        assert of.north_m is not None
-        assert of.east_m is not None
-        return Place(north_m=-of.east_m - 40.0, east_m=of.north_m - 70.0)
-
-    def zone(of: Zone) -> Zone:
-        if isinstance(of, Disc):
-            return msgspec.structs.replace(of, centre=place(of.centre))
-        assert isinstance(of, Polygon)
-        return msgspec.structs.replace(of, vertices=tuple(place(corner) for corner in of.vertices))
-
-    kinds = ("keep_in", "keep_out", "keep_out_disc")
-    return msgspec.structs.replace(fence, **{kind: tuple(zone(of) for of in getattr(fence, kind)) for kind in kinds})
-
-
-@pytest.mark.parametrize("name", FENCES)
-def test_a_way_is_the_same_where_the_whole_scene_is_turned_and_moved(name: str) -> None:
-    (_, of), (_, other) = router(FENCES[name]), router(moved(FENCES[name]))
-    way = of.way(START, GOAL)
-    expected = np.column_stack([-way[:, 1] - 40.0, way[:, 0] - 70.0])
-    start, goal = np.array([-40.0, -70.0]), np.array([-40.0, -50.0])
-    np.testing.assert_allclose(other.way(start, goal), expected, atol=1e-6)
 
 
 def test_a_point_that_is_seen_is_reached_at_once() -> None:

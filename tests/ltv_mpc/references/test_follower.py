@@ -173,18 +173,6 @@ def test_depth_moves_to_the_path_at_the_maximum_rate_and_then_follows_it():
     assert follower.depth_m == pytest.approx(2.6)
 
 
-def test_a_timed_track_keeps_its_times():
-    follower = has_started(Timed(rows=((10.0, 0.0, 0.0), (40.0, 6.0, 0.0), (50.0, 6.0, 0.0), (90.0, 6.0, 8.0))))
-    at, t_s = {}, 0.0
-    while t_s < 89.8:
-        t_s = round(t_s + 0.5, 1)
-        at[t_s] = go(follower, t_s, *(follower.target_m or STILL))
-    assert at[8.0] == pytest.approx((0.0, 0.0))
-    assert at[25.0] == pytest.approx((3.0, 0.0))
-    assert at[45.0] == pytest.approx((6.0, 0.0))
-    assert at[70.0] == pytest.approx((6.0, 4.0))
-
-
 def test_a_timed_track_may_rest():
     follower = has_started(Timed(rows=((0.0, 1.0, 0.0), (40.0, 1.0, 0.0))), north_m=1.0)
     assert go(follower, 10.0, 1.0, 0.0) == (1.0, 0.0)
@@ -192,14 +180,15 @@ def test_a_timed_track_may_rest():
 
 
 def test_a_restriction_that_changes_while_the_target_rests_keeps_its_stay():
-    follower = has_started(Timed(rows=((0.0, 0.0, 0.0), (40.0, 6.0, 0.0), (100.0, 6.0, 0.0), (140.0, 12.0, 0.0))))
+    follower = has_started(Timed(rows=((10.0, 0.0, 0.0), (40.0, 6.0, 0.0), (100.0, 6.0, 0.0), (140.0, 12.0, 0.0))))
     at, t_s = {}, 0.0
     while t_s < 120.0:
         t_s = round(t_s + 0.5, 1)
         at[t_s] = go(follower, t_s, *(follower.target_m or STILL))
         if t_s in (20.0, 60.0, 80.0, 110.0):
             follower.restrict(lambda schedule: (schedule, 0.0))
-    assert at[20.0] == pytest.approx((3.0, 0.0))
+    assert at[8.0] == pytest.approx((0.0, 0.0))
+    assert at[25.0] == pytest.approx((3.0, 0.0))
     assert at[99.5] == pytest.approx((6.0, 0.0))
     assert at[120.0] == pytest.approx((9.0, 0.0))
 
@@ -231,10 +220,9 @@ def test_a_line_is_followed_to_its_end_within_centimetres():
     assert (estimates[-1].north_m, estimates[-1].east_m) == pytest.approx((12.0, 0.0), abs=0.05)
 
 
-@pytest.mark.parametrize("current", [(0.0, 0.0), (0.0, 0.15)])
-def test_a_corner_is_followed_in_still_water_and_in_a_current(current):
+def test_a_corner_is_followed_in_a_current():
     places = (Place(north_m=0.0, east_m=0.0), Place(north_m=8.0, east_m=0.0), Place(north_m=8.0, east_m=8.0))
-    _, plans = follow(Waypoints(speed_mps=0.4, waypoints=places), 320, current)
+    _, plans = follow(Waypoints(speed_mps=0.4, waypoints=places), 320, (0.0, 0.15))
     assert plans[-1].progress == pytest.approx(1.0)
     assert max(abs(plan.cross_track_m or 0.0) for plan in plans[10:]) < 0.4
     assert np.mean([abs(plan.cross_track_m or 0.0) for plan in plans[10:]]) < 0.1
@@ -323,19 +311,17 @@ def test_progress_is_what_the_current_leaves_and_never_more_in_a_stronger_one(na
         last = metres
 
 
-@pytest.mark.parametrize(("known", "currents_mps"), [(True, (0.4475, 0.51)), (False, (0.43, 0.51))])
-def test_against_a_current_progress_is_what_the_top_speed_leaves(known, currents_mps):
-    line, last_m = Line(speed_mps=0.5, start=LINE.start, end=Place(north_m=20.0, east_m=0.0)), math.inf
-    for current_mps in currents_mps:
-        controller = Controller(PAPER, line)
-        water = CurrentProfile(depth_m=np.zeros(1), north_mps=np.array([-current_mps]), east_mps=np.zeros(1))
-        estimate = msgspec.structs.replace(Estimate.at_rest(depth_m=0.0), current=water)
-        for _ in range(1000):
-            plan = controller.plan(estimate if known else msgspec.structs.replace(estimate, current=None))
-            estimate = advance(PAPER, estimate, plan, duration_s=0.3)
-        left_m = (0.5 - current_mps) * 300.0
-        # On a straight course more current and more drag look alike, so one that is not told may be learned as both.
-        assert 20.0 * plan.progress == pytest.approx(min(20.0, max(left_m, 0.0)), rel=0.08, abs=0.05 if known else 0.5)
-        assert estimate.north_m == pytest.approx(min(20.0, left_m), rel=0.1)  # too strong a current: full thrust
-        assert 20.0 * plan.progress <= last_m + 0.05
-        last_m = 20.0 * plan.progress
+@pytest.mark.parametrize(("known", "current_mps"), [(True, 0.4475), (False, 0.43), (False, 0.51)])
+def test_against_a_current_progress_is_what_the_top_speed_leaves(known, current_mps):
+    controller = Controller(PAPER, Line(speed_mps=0.5, start=LINE.start, end=Place(north_m=20.0, east_m=0.0)))
+    water = CurrentProfile(depth_m=np.zeros(1), north_mps=np.array([-current_mps]), east_mps=np.zeros(1))
+    estimate = msgspec.structs.replace(Estimate.at_rest(depth_m=0.0), current=water)
+    for k in range(400):
+        plan = controller.plan(estimate if known else msgspec.structs.replace(estimate, current=None))
+        if k == 150:  # it has got up speed
+            begin_m, from_m = 20.0 * plan.progress, estimate.north_m
+        estimate = advance(PAPER, estimate, plan, duration_s=0.3)
+    left_m = (0.5 - current_mps) * 75.0
+    # On a straight course more current and more drag look alike, so one that is not told may be learned as both.
+    assert 20.0 * plan.progress - begin_m == pytest.approx(max(left_m, 0.0), rel=0.08, abs=0.05 if known else 0.5)
+    assert estimate.north_m - from_m == pytest.approx(left_m, rel=0.1, abs=0.1)  # too strong a current: full thrust

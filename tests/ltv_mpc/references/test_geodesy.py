@@ -34,31 +34,6 @@ def test_near_the_origin_positions_agree_with_the_radii_of_curvature(latitude, l
     assert east == pytest.approx(east_deg * a_degree[1], abs=0.02)
 
 
-def test_a_known_degree():
-    """The first degree of latitude from the equator is 110 574 m long, of longitude 111 320 m (WGS 84)."""
-    equator = Origin(latitude_deg=0.0, longitude_deg=10.0)
-    north, east = tangent_plane(0.1, 10.1, equator)
-    assert north == pytest.approx(11_057.4, abs=0.1)
-    assert east == pytest.approx(11_131.9, abs=0.1)
-
-
-@pytest.mark.parametrize("bearing", [0.0, 0.7, 2.0])
-def test_at_10_km_the_plane_is_millimetres_short_of_the_ellipsoid(bearing):
-    """The difference is d^3 / (6 R^2) = 4 mm."""
-    origin = Origin(latitude_deg=50.0, longitude_deg=-5.0)
-    a_degree = metres_a_degree(50.0)
-    steps = 2000  # along the ellipsoid in short steps, each by the radii of curvature where it begins
-    latitude, longitude, course = 50.0, -5.0, bearing
-    for _ in range(steps):
-        middle = latitude + 0.5 * 10_000.0 / steps * math.cos(course) / a_degree[0]
-        per_north, per_east = metres_a_degree(middle)
-        latitude += 10_000.0 / steps * math.cos(course) / per_north
-        d_longitude = 10_000.0 / steps * math.sin(course) / per_east
-        longitude += d_longitude
-        course += math.radians(d_longitude) * math.sin(math.radians(middle))  # a geodesic turns with the meridians
-    assert math.hypot(*tangent_plane(latitude, longitude, origin)) == pytest.approx(10_000.0 - 0.0041, abs=0.002)
-
-
 @pytest.mark.parametrize(
     ("place", "origin", "says"),
     [

@@ -18,12 +18,11 @@ PLACES = [(50.2, -5.1), (50.2003, -5.1001), (50.2004, -5.0995), (50.2001, -5.099
 
 
 def expected(speed_mps: float = 20.0, depths: tuple[float, ...] = ()) -> Waypoints:
-    places = [Waypoint(latitude_deg=at, longitude_deg=on) for at, on in PLACES]
-    if depths:
-        places = [
-            Waypoint(latitude_deg=at, longitude_deg=on, depth_m=z) for (at, on), z in zip(PLACES, depths, strict=True)
-        ]
-    return Waypoints(waypoints=tuple(places), speed_mps=speed_mps, origin=ORIGIN)
+    places = tuple(
+        Waypoint(latitude_deg=at, longitude_deg=on, depth_m=z)
+        for (at, on), z in zip(PLACES, depths or (None,) * 4, strict=True)
+    )
+    return Waypoints(waypoints=places, speed_mps=speed_mps, origin=ORIGIN)
 
 
 def assert_same(read: references.Reference, right: Waypoints) -> None:
@@ -114,18 +113,23 @@ def test_a_plan_of_qgroundcontrol_is_the_same_path(tmp_path: Path) -> None:
     assert_same(references.load(str(tmp_path / "m.plan")), expected(0.7))
 
 
+def mission(*rows: str) -> str:
+    """Return a QGC WPL 110 file of frames, commands, parameters and places; home comes first."""
+    items = (f"{k} 0 {row} 1" for k, row in enumerate(("0 16 0 0 0 0 50.2 -5.1 0", *rows)))
+    return "\n".join(["QGC WPL 110", *items])
+
+
 def test_speeds_waits_and_the_way_back_of_a_mission_are_those_of_its_waypoints(tmp_path: Path) -> None:
-    rows = [
-        (178, 1, 0.3, -1, 0, 0, 0, 0),
-        (16, 0, 0, 0, 0, 50.2002, -5.1, 0),
-        (19, 20, 0, 0, 0, 50.2002, -5.0996, 0),
-        (82, 0, 0, 0, 0, 50.2001, -5.0994, 0),
-        (178, 1, 1.2, -1, 0, 0, 0, 0),
-        (16, 0, 0, 0, 0, 50.2, -5.0996, 0),
-        (20, 0, 0, 0, 0, 0, 0, 0),
-    ]
-    lines = [f"{k} 0 3 {' '.join(map(str, row))} 1" for k, row in enumerate(rows, start=1)]
-    (tmp_path / "m.waypoints").write_text(HOME + "\n".join(lines))
+    rows = (
+        "3 178 1 0.3 -1 0 0 0 0",
+        "3 16 0 0 0 0 50.2002 -5.1 0",
+        "3 19 20 0 0 0 50.2002 -5.0996 0",
+        "3 82 0 0 0 0 50.2001 -5.0994 0",
+        "3 178 1 1.2 -1 0 0 0 0",
+        "3 16 0 0 0 0 50.2 -5.0996 0",
+        "3 20 0 0 0 0 0 0 0",
+    )
+    (tmp_path / "m.waypoints").write_text(mission(*rows))
     read = references.load(str(tmp_path / "m.waypoints"))
     assert isinstance(read, Waypoints)
     assert read.speed_mps == 0.3
@@ -135,33 +139,29 @@ def test_speeds_waits_and_the_way_back_of_a_mission_are_those_of_its_waypoints(t
     assert [place.speed_mps for place in read.waypoints] == [None, None, 1.2, None, None]
 
 
-HOME = "QGC WPL 110\n0 1 0 16 0 0 0 0 50.2 -5.1 0 1\n"
+ELSEWHERE = "50.2 -5 0"
 
 
 @pytest.mark.parametrize(
     ("name", "text", "says"),
     [
-        ("m.waypoints", HOME + "1 0 3 183 9 1500 0 0 0 0 0 1\n", "item 1 MAV_CMD_DO_SET_SERVO (183) is not driven"),
+        ("m.waypoints", mission("3 183 9 1500 0 0 0 0 0"), "item 1 MAV_CMD_DO_SET_SERVO (183) is not driven"),
+        ("m.waypoints", mission(f"1 16 0 0 0 0 {ELSEWHERE}"), "item 1 MAV_CMD_NAV_WAYPOINT (16) frame 1 must"),
         (
             "m.waypoints",
-            HOME + "1 0 1 16 0 0 0 0 50.2 -5 0 1\n",
-            "item 1 MAV_CMD_NAV_WAYPOINT (16) frame 1 must",
-        ),
-        (
-            "m.waypoints",
-            HOME + "1 0 3 17 0 0 0 0 50.2 -5 0 1\n2 0 3 16 0 0 0 0 50.2 -5 0 1",
+            mission(f"3 17 0 0 0 0 {ELSEWHERE}", f"3 16 0 0 0 0 {ELSEWHERE}"),
             "item 2 MAV_CMD_NAV_WAYPOINT (16) follows an item without an end",
         ),
         (
             "m.waypoints",
-            HOME + "1 0 3 16 0 0 0 0 50.21 -5 0 1\n2 0 3 178 1 0 -1 0 0 0 0 1\n3 0 3 21 0 0 0 0 0 0 0 1\n",
+            mission(f"3 16 0 0 0 0 {ELSEWHERE}", "3 178 1 0 -1 0 0 0 0", "3 21 0 0 0 0 0 0 0"),
             "item 2 MAV_CMD_DO_CHANGE_SPEED (178) speed 0 m/s must be above 0; item 3 MAV_CMD_NAV_LAND (21)",
         ),
-        ("m.waypoints", HOME + "1 0 3 93 5 0 0 0 0 0 0 1\n", "item 1 MAV_CMD_NAV_DELAY (93) has no place before it"),
+        ("m.waypoints", mission("3 93 5 0 0 0 0 0 0"), "item 1 MAV_CMD_NAV_DELAY (93) has no place before it"),
         ("m.waypoints", "QGC WPL 120\n", "line 1 = "),
-        ("m.waypoints", HOME + "1 0 3 16 0 0 0 0 50.2 -5 0\n", "line 3 = "),
-        ("m.waypoints", HOME, "has no path and no point"),
-        ("m.plan", "{", "is not valid JSON"),
+        ("m.waypoints", mission("3 16 0 0 0 0 50.2 -5"), "line 3 = "),
+        ("m.waypoints", mission(), "has no path and no point"),
+        ("m.plan", "{", "is not a JSON object"),
         ("m.plan", "{}", "mission: is not that of a plan"),
         ("m.plan", plan({"type": "ComplexItem", "complexItemType": "survey"}), "item 1: survey cannot be followed"),
         ("m.geojson", '{"type": "FeatureCollection", "features": []}', "they hold 0"),

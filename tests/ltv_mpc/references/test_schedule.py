@@ -18,7 +18,6 @@ from ltv_mpc.references.schedule import (
     NORTH,
     TIME,
     WAY,
-    cross_track_error,
     feasible_rate,
     fill_targets,
     target_at,
@@ -97,23 +96,9 @@ def test_at_a_sharp_corner_the_target_waits_for_the_turning_time():
     assert t == pytest.approx(standing.sum(), rel=0.1)
 
 
-def test_going_down_a_slope_is_no_faster_than_the_descent_rate():
-    deep = Place(north_m=10.0, east_m=0.0, depth_m=10.0)
-    line = Line(speed_mps=0.4, start=Place(north_m=0.0, east_m=0.0, depth_m=0.0), end=deep, descent_rate_mps=0.1)
-    table = line.schedule(PAPER).table
-    assert np.max(np.diff(table[DEPTH]) / np.diff(table[TIME])) <= 0.1 + 1e-9
-    assert any("descent_rate_mps" in note for note in line.notes(PAPER))
-
-
-ONE_WAY = msgspec.convert(
-    msgspec.to_builtins(PAPER)
-    | {
-        "thruster": {
-            name: msgspec.to_builtins(thruster) | ({} if name == "vertical" else {"min_N": 0.0})
-            for name, thruster in zip(("port", "starboard", "vertical"), PAPER.thrusters, strict=True)
-        }
-    },
-    Vehicle,
+LATERAL = msgspec.structs.replace(PAPER.thruster.port, min_N=0.0)
+ONE_WAY = msgspec.structs.replace(
+    PAPER, thruster=msgspec.structs.replace(PAPER.thruster, port=LATERAL, starboard=LATERAL)
 )
 """The paper's vehicle without thrust astern."""
 
@@ -176,12 +161,6 @@ def test_targets_agree_with_the_table_at_any_knots():
     np.testing.assert_allclose(target[-1], 0.0)
     np.testing.assert_allclose(target[:-1], np.tile(table[[NORTH, EAST], -1], (5, 1)), atol=1e-12)
     assert target_at(table, 1e6)[0] == pytest.approx(table[WAY, -1])
-
-
-@pytest.mark.parametrize(("east_m", "sign"), [(0.4, 1.0), (-0.4, -1.0)])
-def test_cross_track_is_positive_to_starboard(east_m, sign):
-    table = LINE.schedule(PAPER).table  # northwards
-    assert cross_track_error(table, 10.0, 10.3, east_m, 2.0) == pytest.approx(sign * 0.4)
 
 
 def test_a_current_reduces_the_feasible_rate():

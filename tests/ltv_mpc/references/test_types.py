@@ -32,16 +32,6 @@ def test_an_example_is_read_and_followed(path):
     assert reference.schedule(PAPER).duration_s > 10.0
 
 
-def test_the_examples_in_degrees_and_with_times_have_the_stated_positions():
-    survey = references.load(str(EXAMPLES / "survey.toml"))
-    assert isinstance(survey, references.Lawnmower)
-    first = survey.path().points[0]
-    assert np.hypot(*first) < 200.0
-    timed = references.load(str(EXAMPLES / "timed.toml"))
-    assert isinstance(timed, Timed)
-    assert timed.rows[0][0] == 0.0
-
-
 FIRST = "kind = 'waypoints'\nspeed_mps = 1\n"
 
 
@@ -49,8 +39,6 @@ FIRST = "kind = 'waypoints'\nspeed_mps = 1\n"
     ("text", "says"),
     [
         ("kind = 'line'\nspeed_mps = 1", 'key "start" is missing: must be a table with north_m,'),
-        ("kind = 'point'\nnorth_m = 1", "a position needs north_m and east_m, or latitude_deg and longitude_deg"),
-        ("kind = 'point'\nlatitude_deg = 1\nlongitude_deg = 2", "need an [origin]"),
         ("kind = 'point'\nlatitude_deg = 99\nlongitude_deg = 2", "latitude_deg = 99: must be >= -89 and <= 89"),
         (f"{FIRST}waypoints = [{{north_m = 1, east_m = 1}}]", "waypoints = "),
         (f"{FIRST}waypoints = [{{north_m = 1, east_m = 1}}, {{north_m = 1}}]", "waypoints[1]: a position needs"),
@@ -70,11 +58,6 @@ FIRST = "kind = 'waypoints'\nspeed_mps = 1\n"
         (
             "kind = 'spiral'\nspeed_mps = 1\ninner_m = 0\nouter_m = 400\nspacing_m = 1\ncentre = {north_m=0, east_m=0}",
             "must be <= 100 turns",
-        ),
-        (
-            "kind = 'lawnmower'\nspeed_mps = 1\ncourse_deg = 0\nlength_m = 5\nwidth_m = 4000\nspacing_m = 1\n"
-            "start = {north_m=0, east_m=0}",
-            "width_m / spacing_m must be <= ",
         ),
         (
             "kind = 'lawnmower'\nspeed_mps = 1\ncourse_deg = 0\nlength_m = 5\nwidth_m = 20\nspacing_m = 5e-324\n"
@@ -98,17 +81,11 @@ def test_an_error_names_its_field_and_bound(text, says):
 @pytest.mark.parametrize(
     ("csv", "says"),
     [
-        ("", "is empty"),
         ("t_s,north_m\n0,0\n1,1", "missing column east_m"),
         ("t_s,north_m,east_m\n0,0,0", "needs a header and at least 2 rows"),
-        ("t_s,north_m,east_m\n0,0,0\n1,x,0", 'line 3 north_m = "x": must be a number'),
-        ("t_s,north_m,east_m\n0,0,0\n1,1_0,0", 'line 3 north_m = "1_0": must be a number'),
-        ("t_s,north_m,east_m\n0,0,0\n1,nan,0", 'line 3 north_m = "nan": must be a number'),
-        ("t_s,north_m,east_m\n0,0,0\n1,1", "line 3 east_m: missing: column 3 of a line that has 2"),
         ("# t\nt_s,north_m,east_m\n1,0,0\n1,1,0", "line 4 t_s = 1.0: must be later than the row before it, 1 s"),
         ("t_s,north_m,east_m\n0,0,0\n1,1e7,0", "line 3 north_m = 1e+07: must be >= -1e+06 and <= 1e+06"),
         ("t_s,latitude_deg,longitude_deg\n0,0,0\n1,1,0", "need an [origin]"),
-        ("t_s,t_s,north_m,east_m\n0,0,0,0\n1,1,1,0", "column t_s occurs more than once"),
     ],
 )
 def test_an_error_in_a_track_names_file_line_and_column(tmp_path, csv, says):
@@ -154,6 +131,12 @@ def test_notes_name_what_is_not_feasible_and_nothing_else():
         PAPER
     )
     assert tight[0].startswith("bends of 0.49 m radius")
+    slope = Line(
+        speed_mps=0.4,
+        start=Place(north_m=0.0, east_m=0.0, depth_m=0.0),
+        end=Place(north_m=9.0, east_m=0.0, depth_m=9.0),
+    )
+    assert slope.notes(PAPER)[0].startswith("depth changes faster than descent_rate_mps = 0.2: speed reduced to 0.20")
     sharp = Waypoints(
         speed_mps=0.4, corner_m=0.0, waypoints=(Place(north_m=0.0, east_m=0.0), there, Place(north_m=40.0, east_m=9.0))
     ).notes(PAPER)

@@ -12,7 +12,7 @@ import pytest
 from ltv_mpc.messages import Applied, CurrentProfile, Estimate, ModelCheck
 from ltv_mpc.safety.model_monitor import ALARM_NATS, QUIET_CYCLES, SETTLING_MPS, ModelMonitor
 from ltv_mpc.safety.thrust_loss_detector import WINDOWS
-from ltv_mpc.vehicle.dynamics import derivative
+from ltv_mpc.vehicle.dynamics import rates
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
 from tests.ltv_mpc.reports import report
 
@@ -73,10 +73,9 @@ class Sea:
                 F = self.share * reported
                 F[1] += self.fins * abs(self.x[2]) * self.x[5] / self._p.arm_starboard
                 self.cost_Ns += STEP_S * np.abs((1.0 - self.share) * reported).sum()
-                slope = [np.empty(6) for _ in range(2)]
-                derivative(self.x, F, np.zeros(2), np.zeros(2), self._p, slope[0])
-                derivative(self.x + 0.5 * STEP_S * slope[0], F, np.zeros(2), np.zeros(2), self._p, slope[1])
-                self.x += STEP_S * slope[1]
+                middle = self.x.copy()
+                for x, step_s in ((middle, 0.5 * STEP_S), (self.x, STEP_S)):
+                    x += step_s * np.array(rates(*middle[2:], *F, 0.0, 0.0, 0.0, 0.0, self._p))
             self.cycle += 1
 
     def _estimate(self) -> Estimate:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
+import msgspec
+import numpy as np
 import pytest
 
-from benchmarks.vehicles import drawn
 from ltv_mpc import Vehicle
 from ltv_mpc.vehicle import parameters
 from ltv_mpc.vehicle.performance import performance
 from ltv_mpc.vehicle.plausibility import warnings
+from tests.ltv_mpc.control.test_scaling import scaled
 
 FOLDER = Path(parameters.__file__).parent
 PAPER = (FOLDER / "files" / "paper.toml").read_text()
@@ -32,15 +35,31 @@ def warnings_of(vehicle: Vehicle) -> list[str]:
     return warnings(vehicle, performance(vehicle))
 
 
+def of_size(size: float) -> Vehicle:
+    """Return the paper's vehicle that many times as long, and as fast as a hull of that length."""
+    vehicle = scaled(Vehicle.load("paper"), size, math.sqrt(size), size**3)
+    thruster = {
+        side: msgspec.structs.replace(
+            one, propeller_diameter_m=size * one.propeller_diameter_m, max_rps=one.max_rps / math.sqrt(size)
+        )
+        for side, one in zip(("port", "starboard", "vertical"), vehicle.thrusters, strict=True)
+    }
+    return msgspec.structs.replace(
+        vehicle,
+        hull=parameters.Hull(length_m=2.0 * size, beam_m=0.65 * size),
+        thruster=msgspec.structs.replace(vehicle.thruster, **thruster),
+    )
+
+
 @pytest.mark.parametrize("name", [*sorted((FOLDER / "files").glob("*.toml")), FOLDER / "template.toml"])
 def test_shipped_vehicles_and_the_template_give_no_warning(name: Path) -> None:
     assert warnings_of(Vehicle.load(str(name))) == []
 
 
 def test_vehicles_from_30_kg_to_3_t_give_no_warning() -> None:
-    vehicles = [drawn(seed) for seed in range(12)]
-    assert min(v.dry_mass_kg for v in vehicles) < 60 < 2000 < max(v.dry_mass_kg for v in vehicles)
-    assert {v.name: warnings_of(v) for v in vehicles} == {v.name: [] for v in vehicles}
+    sizes = np.cbrt(np.geomspace(30.0, 3000.0, 12) / 200.0).tolist()
+    vehicles = [of_size(size) for size in sizes]
+    assert {v.dry_mass_kg: warnings_of(v) for v in vehicles} == {v.dry_mass_kg: [] for v in vehicles}
 
 
 @pytest.mark.parametrize(

@@ -6,82 +6,20 @@ import math
 
 import numpy as np
 
-from ltv_mpc.messages import (
-    Acknowledgement,
-    Action,
-    AdcpPing,
-    Applied,
-    Authority,
-    Battery,
-    BottomTrack,
-    Clock,
-    ClockCommand,
-    ClockMode,
-    ClockState,
-    ClockStep,
-    Command,
-    CompassHeading,
-    ControllerState,
-    ControllerStatus,
-    CurrentProfile,
-    CycleTiming,
-    Disturbance,
-    DisturbanceState,
-    DroppedGridPoint,
-    Estimate,
-    EstimatorState,
-    FenceInForce,
-    FilterStatus,
-    GnssFix,
-    Health,
-    Heartbeat,
-    ImuSample,
-    ImuSamples,
-    InboxEntry,
-    InnovationSample,
-    InputReport,
-    Kill,
-    LblRange,
-    Leak,
-    LocalisationReport,
-    Manual,
-    Message,
-    MissionState,
-    ModelCheck,
-    NodeSettings,
-    NodeStatus,
-    Obstacle,
-    Obstacles,
-    Plan,
-    PlanOrigin,
-    PressureDepth,
-    RecordedStep,
-    ReferenceStart,
-    RejectedFrame,
-    RunEvent,
-    SensorReport,
-    SensorStatus,
-    Solve,
-    SolveStatus,
-    StepRecord,
-    TdcpFix,
-    Truth,
-    UsblFix,
-    ZoneInForce,
-)
+from ltv_mpc import messages
 from services.bus.wire import Header
 
 HEADER = Header(epoch=2**48 - 1, sequence=7, sent_monotonic_us=123_456_789)
 TRIPLE = (0.1, -2.5e-17, 3.0)
 
-PROFILE = CurrentProfile(
+PROFILE = messages.CurrentProfile(
     depth_m=np.arange(70.0), north_mps=0.1 * np.sin(np.arange(70.0)), east_mps=np.zeros(70), sd_mps=np.full(70, 0.02)
 )
-CONTROLLER_STATE = ControllerState(
+CONTROLLER_STATE = messages.ControllerState(
     t_ns=10**9,
-    authority=Authority.CONTROLLER,
+    authority=messages.Authority.CONTROLLER,
     reference_toml='kind = "hold"',
-    reference_start=ReferenceStart(
+    reference_start=messages.ReferenceStart(
         t_ns=0, north_m=1.0, east_m=2.0, depth_m=3.0, heading_rad=0.4, velocity_mps=(0.05, -0.02)
     ),
     schedule_s=12.5,
@@ -90,11 +28,11 @@ CONTROLLER_STATE = ControllerState(
     depth_integral_N=-3.5,
     plan_delays_ns=(81_000_000, 79_500_001),
     cycle_times_ns=(4_000_000,),
-    mission=MissionState(start_t_ns=0, operator_t_ns=10**9),
-    disturbance=DisturbanceState(mean=np.linspace(-0.2, 0.2, 12), covariance=1e-4 * np.eye(12)),
+    mission=messages.MissionState(start_t_ns=0, operator_t_ns=10**9),
+    disturbance=messages.DisturbanceState(mean=np.linspace(-0.2, 0.2, 12), covariance=1e-4 * np.eye(12)),
     model_products=np.outer([0.5, 1.0, -1.0, 0.1, 0.0, 0.2], [0.5, 1.0, -1.0, 0.1, 0.0, 0.2]),
 )
-DROPPED = DroppedGridPoint(
+DROPPED = messages.DroppedGridPoint(
     grid_point=3,
     velocity_mps=(0.1, -0.2),
     conditioning_states=np.array([0.1, 0.2, 0.3]),
@@ -104,7 +42,7 @@ DROPPED = DroppedGridPoint(
     position_covariance=np.eye(2),
     walk_variance_m2ps2=1e-6,
 )
-ESTIMATOR_STATE = EstimatorState(
+ESTIMATOR_STATE = messages.EstimatorState(
     t_ns=10**9,
     settings_crc=2**32 - 1,
     x=np.array([0.1, -0.2, 0.3]),
@@ -118,10 +56,12 @@ ESTIMATOR_STATE = EstimatorState(
     walk_variance_m2ps2=2e-6,
     restarts=1,
 )
-SHIP = Obstacle(id=12, t_ns=4, north_m=10.0, east_m=-5.0, velocity_north_mps=1.0, velocity_east_mps=0.0, radius_m=8.0)
+SHIP = messages.Obstacle(
+    id=12, t_ns=4, north_m=10.0, east_m=-5.0, velocity_north_mps=1.0, velocity_east_mps=0.0, radius_m=8.0
+)
 
-EXAMPLES: tuple[Message, ...] = (
-    Truth(
+EXAMPLES: tuple[messages.Message, ...] = (
+    messages.Truth(
         t_ns=-1_000_000_000,
         position_m=TRIPLE,
         velocity_mps=TRIPLE,
@@ -131,8 +71,8 @@ EXAMPLES: tuple[Message, ...] = (
         current_mps=(0.04, -0.03),
         thrust_N=TRIPLE,
     ),
-    Disturbance(end_t_ns=10**9, thrust_scale=(0.5, 1.0, 0.0), force_N=TRIPLE, yaw_moment_Nm=-2.5),
-    Applied(
+    messages.Disturbance(end_t_ns=10**9, thrust_scale=(0.5, 1.0, 0.0), force_N=TRIPLE, yaw_moment_Nm=-2.5),
+    messages.Applied(
         t_ns=5,
         thrust_N=TRIPLE,
         command_N=TRIPLE,
@@ -146,31 +86,31 @@ EXAMPLES: tuple[Message, ...] = (
         plans_rejected=0,
         why="autopilot disarmed; arm it",
     ),
-    ImuSamples(
+    messages.ImuSamples(
         samples=tuple(
-            ImuSample(t_ns=t_ns, interval_ns=10_000_000, angular_rate_radps=TRIPLE, specific_force_mps2=TRIPLE)
+            messages.ImuSample(t_ns=t_ns, interval_ns=10_000_000, angular_rate_radps=TRIPLE, specific_force_mps2=TRIPLE)
             for t_ns in (10_000_000, 20_000_000)
         )
     ),
-    GnssFix(t_ns=0, north_m=1.0, east_m=-1.0, velocity_north_mps=0.0, velocity_east_mps=0.0),
-    TdcpFix(t_ns=0, from_t_ns=-1_000_000_000, north_m=0.01, east_m=0.02),
-    BottomTrack(
+    messages.GnssFix(t_ns=0, north_m=1.0, east_m=-1.0, velocity_north_mps=0.0, velocity_east_mps=0.0),
+    messages.TdcpFix(t_ns=0, from_t_ns=-1_000_000_000, north_m=0.01, east_m=0.02),
+    messages.BottomTrack(
         t_ns=333_333_333,
         range_m=np.array([12.0, np.nan, 13.0, 12.5]),
         beam_velocity_mps=np.array([0.1, np.nan, 0.3, -0.2]),
     ),
-    LblRange(t_ns=5_000_000_000, transponder=2, travel_time_s=0.667),
-    UsblFix(t_ns=4_000_000_000, north_m=12.5, east_m=-3.25),
-    LocalisationReport(
+    messages.LblRange(t_ns=5_000_000_000, transponder=2, travel_time_s=0.667),
+    messages.UsblFix(t_ns=4_000_000_000, north_m=12.5, east_m=-3.25),
+    messages.LocalisationReport(
         t_ns=7_000_000_000,
-        status=FilterStatus.INCONSISTENT,
+        status=messages.FilterStatus.INCONSISTENT,
         why="adcp: innovations 3.1 times as large as said",
         restarts=1,
         water_walk_mps_per_rts=0.05,
         sensors=(
-            SensorReport(
+            messages.SensorReport(
                 sensor="adcp",
-                status=SensorStatus.INCONSISTENT,
+                status=messages.SensorStatus.INCONSISTENT,
                 used=300,
                 rejected={"gate": 12, "no_return": 8},
                 nis=3.1,
@@ -178,20 +118,20 @@ EXAMPLES: tuple[Message, ...] = (
             ),
         ),
         innovations=(
-            InnovationSample(
+            messages.InnovationSample(
                 sensor="adcp", t_ns=6_999_999_993, rows=(0, 14), innovations=(0.01, -0.02), sd=(0.01, 0.01)
             ),
         ),
     ),
-    AdcpPing(
+    messages.AdcpPing(
         t_ns=333_333_333,
         range_m=np.arange(1.0, 31.0),
         beam_velocity_mps=np.where(np.arange(120.0) % 7 == 0, np.nan, 0.1).reshape(4, 30),
     ),
-    PressureDepth(t_ns=0, depth_m=12.5),
-    CompassHeading(t_ns=0, heading_rad=-math.pi),
-    Estimate.at_rest(),
-    Estimate(
+    messages.PressureDepth(t_ns=0, depth_m=12.5),
+    messages.CompassHeading(t_ns=0, heading_rad=-math.pi),
+    messages.Estimate.at_rest(),
+    messages.Estimate(
         t_ns=100_000_000,
         north_m=0.1,
         east_m=0.2,
@@ -205,26 +145,28 @@ EXAMPLES: tuple[Message, ...] = (
         covariance=np.diag([25.0, 25.0, 1e-3, 1e-3, 1e-4, 1e-9]),
         current=PROFILE,
     ),
-    Plan(
+    messages.Plan(
         cycle_t_ns=0,
         t_ns=np.arange(18) * 300_000_000,
         thrust_N=np.linspace(-50.0, 50.0, 54).reshape(18, 3),
         states=np.ones((18, 6)),
-        origin=PlanOrigin.SHIFTED,
-        solve=Solve(status=SolveStatus.ITERATION_LIMIT, iterations=200, primal_residual=3.1e-2, why="limit"),
+        origin=messages.PlanOrigin.SHIFTED,
+        solve=messages.Solve(
+            status=messages.SolveStatus.ITERATION_LIMIT, iterations=200, primal_residual=3.1e-2, why="limit"
+        ),
         why="limit",
         reference_m=(0.0, 0.0),
         depth_limit_m=15.0,
         reference_heading_rad=0.5,
         delivered_N=(1.0, -2.0, 3.0),
     ),
-    Command(command_id=2**48 - 1, action=Action.FOLLOW, reference_toml='kind = "hold"'),
-    Obstacles(t_ns=5, obstacles=(SHIP,)),
-    FenceInForce(
+    messages.Command(command_id=2**48 - 1, action=messages.Action.FOLLOW, reference_toml='kind = "hold"'),
+    messages.Obstacles(t_ns=5, obstacles=(SHIP,)),
+    messages.FenceInForce(
         t_ns=5,
         hull_radius_m=1.1,
         zones=(
-            ZoneInForce(
+            messages.ZoneInForce(
                 label='keep_out[0] "wreck"',
                 keep_in=False,
                 vertices_m=np.array([[0.0, 0.0], [0.0, 5.0], [5.0, 0.0]]),
@@ -234,15 +176,15 @@ EXAMPLES: tuple[Message, ...] = (
         ),
         obstacles=(SHIP,),
     ),
-    Manual(thrust_N=TRIPLE),
-    Heartbeat(),
-    Battery(voltage_V=23.5, remaining=None),
-    Battery(voltage_V=23.5, remaining=0.8),
-    Leak(detected=True),
-    Acknowledgement(
-        t_ns=5, command_id=1, accepted=False, authority=Authority.STOPPED, why="stopped", warnings=("a", "b")
+    messages.Manual(thrust_N=TRIPLE),
+    messages.Heartbeat(),
+    messages.Battery(voltage_V=23.5, remaining=None),
+    messages.Battery(voltage_V=23.5, remaining=0.8),
+    messages.Leak(detected=True),
+    messages.Acknowledgement(
+        t_ns=5, command_id=1, accepted=False, authority=messages.Authority.STOPPED, why="stopped", warnings=("a", "b")
     ),
-    ControllerStatus(
+    messages.ControllerStatus(
         t_ns=5,
         estimate_age_ns=40_000_000,
         applied_age_ns=None,
@@ -251,13 +193,13 @@ EXAMPLES: tuple[Message, ...] = (
         received=450,
         dropped=1,
         rejected={"out of order": 2},
-        clock=ClockMode.TWO_WAY,
+        clock=messages.ClockMode.TWO_WAY,
         clock_error_ns=900_000,
-        authority=Authority.CONTROLLER,
-        health=Health.NOMINAL,
+        authority=messages.Authority.CONTROLLER,
+        health=messages.Health.NOMINAL,
         error_m=0.02,
         inputs=(
-            InputReport(
+            messages.InputReport(
                 input="estimate",
                 alive=True,
                 valid=False,
@@ -268,7 +210,7 @@ EXAMPLES: tuple[Message, ...] = (
             ),
         ),
     ),
-    ModelCheck(
+    messages.ModelCheck(
         t_ns=5,
         residual_N=-12.5,
         residual_Nm=0.25,
@@ -277,8 +219,8 @@ EXAMPLES: tuple[Message, ...] = (
         alarm=True,
         why="starboard delivers 31 % less than it reports",
     ),
-    CycleTiming(t_ns=0, compute_ns=5, compute_wall_ns=5, estimate_age_ns=-3, stage_us={"solve": 41.5}),
-    Clock(
+    messages.CycleTiming(t_ns=0, compute_ns=5, compute_wall_ns=5, estimate_age_ns=-3, stage_us={"solve": 41.5}),
+    messages.Clock(
         clock_epoch=3,
         clock_sequence=0,
         host_boot_id="b",
@@ -287,12 +229,12 @@ EXAMPLES: tuple[Message, ...] = (
         speed_num=21,
         speed_den=2,
         requested_speed=10.5,
-        state=ClockState.RUNNING,
+        state=messages.ClockState.RUNNING,
     ),
-    ClockCommand(paused=True, speed=2.5),
-    ClockStep(t_ns=5, input="applied", publisher=2**48 - 1, step_ns=-5_000_000_000, certain=False),
-    Kill(node="estimator"),
-    NodeStatus(
+    messages.ClockCommand(paused=True, speed=2.5),
+    messages.ClockStep(t_ns=5, input="applied", publisher=2**48 - 1, step_ns=-5_000_000_000, certain=False),
+    messages.Kill(node="estimator"),
+    messages.NodeStatus(
         node="plant",
         t_ns=0,
         ready=True,
@@ -304,22 +246,24 @@ EXAMPLES: tuple[Message, ...] = (
         rejected=5,
         step_us=6.5,
     ),
-    NodeSettings(node="controller", files={"config/vehicle.toml": 'name = "otter"\n'}, made_by={"numpy": "2.0"}),
-    StepRecord(
+    messages.NodeSettings(
+        node="controller", files={"config/vehicle.toml": 'name = "otter"\n'}, made_by={"numpy": "2.0"}
+    ),
+    messages.StepRecord(
         node="plant",
         epoch=HEADER.epoch,
         step=0,
         steps=(
-            RecordedStep(t_ns=0, cause="grid", inbox=()),
-            RecordedStep(
+            messages.RecordedStep(t_ns=0, cause="grid", inbox=()),
+            messages.RecordedStep(
                 t_ns=5,
                 cause="grid",
-                inbox=(InboxEntry(key="plan", epoch=1, sequence=0, crc=2**32 - 1, received_t_ns=5),),
+                inbox=(messages.InboxEntry(key="plan", epoch=1, sequence=0, crc=2**32 - 1, received_t_ns=5),),
             ),
         ),
     ),
     CONTROLLER_STATE,
     ESTIMATOR_STATE,
-    RejectedFrame(t_ns=0, node="plant", key="plan", reason="no map", crc=1, payload_base64="AAA="),
-    RunEvent(t_ns=0, node="plant", kind="slowed", text="by 0.4 s"),
+    messages.RejectedFrame(t_ns=0, node="plant", key="plan", reason="no map", crc=1, payload_base64="AAA="),
+    messages.RunEvent(t_ns=0, node="plant", kind="slowed", text="by 0.4 s"),
 )

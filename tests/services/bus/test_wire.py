@@ -144,7 +144,7 @@ INDEFINITE[0, 1] = INDEFINITE[1, 0] = 1.5
         (Estimate, changed(ESTIMATE, covariance=np.eye(5).tolist()), "6, 6"),
         (Estimate, changed(ESTIMATE, covariance=[[1.0], [1.0, 2.0]]), "one length"),
         (Estimate, changed(ESTIMATE, current={"depth_m": [1, 0], "north_mps": [0, 0], "east_mps": [0, 0]}), "increase"),
-        (Estimate, changed(ESTIMATE, current={"depth_m": [], "north_mps": [], "east_mps": []}), "length"),
+        (Estimate, changed(ESTIMATE, current={"depth_m": [], "north_mps": [], "east_mps": []}), "depth_m"),
         (Plan, changed(PLAN, thrust_N=PLAN.thrust_N[:-1].tolist()), "thrust_N"),
         (Plan, changed(PLAN, t_ns=PLAN.t_ns[::-1].tolist()), "increase"),
         (Plan, changed(PLAN, t_ns=[0] * 17 + [2**64 - 1]), "."),

@@ -9,8 +9,12 @@ import numpy as np
 import pytest
 
 from ltv_mpc.messages import Estimate, Health
+from services.bus.roles import reads, writes
+from services.bus.topics import BY_TYPE, expression
 from services.edges.edge import Edge, LossCounter, Outgoing, Output, Received, Refused, StampedClock
+from services.edges.mavlink.edge import MavlinkEdge
 from services.edges.plan_follower import PlanFollower
+from services.edges.ros2.edge import Ros2Edge
 from tests.services.edges.plans import SECOND_NS, plan
 
 
@@ -63,12 +67,8 @@ def test_a_plan_is_executed_by_vehicle_time_and_not_beyond_its_end() -> None:
     for at_s, thrust in ((7.5, (5.0, -10.0, 2.5)), (8.5, (10.0, -20.0, 5.0))):
         np.testing.assert_allclose(plans.thrust_N(round(at_s * SECOND_NS)), thrust)
     assert plans.thrust_N(round(9.1 * SECOND_NS)) is None
-
-
-def test_a_long_plan_is_not_followed_for_more_than_five_seconds() -> None:
     plans = PlanFollower()
-    knots = SECOND_NS * np.arange(15)
-    plans.follow(msgspec.structs.replace(plan(0), t_ns=knots, thrust_N=np.full((15, 3), 10.0)))
+    plans.follow(msgspec.structs.replace(plan(0), t_ns=SECOND_NS * np.arange(15), thrust_N=np.full((15, 3), 10.0)))
     assert plans.thrust_N(4_999_000_000) is not None
     assert plans.thrust_N(5_001_000_000) is None
 
@@ -114,13 +114,16 @@ def test_numbers_that_jump_about_take_no_memory_without_end() -> None:
         counter.add("sender", 10_000 * number + 999)
     assert sum(map(len, counter._missing.values())) <= 1000
     assert counter.lost == 1000 * 998
-
-
-def test_a_sender_that_starts_again_has_lost_nothing() -> None:
     counter = LossCounter()
-    for number in (70_000, 70_001, 1, 2, 4):
+    for number in (70_000, 70_001, 1, 2, 4):  # it starts again
         counter.add("sender", number)
     assert counter.lost == 1
+
+
+@pytest.mark.parametrize("edge", [MavlinkEdge, Ros2Edge])
+def test_the_role_of_an_edge_may_do_what_the_edge_does(edge: type[Edge]) -> None:
+    assert {BY_TYPE[kind].key for kind in edge.writes} <= set(writes(edge.name))
+    assert {expression(BY_TYPE[kind]) for kind in edge.reads} <= set(reads(edge.name))
 
 
 class Text(Edge):
@@ -153,11 +156,7 @@ def test_a_frame_becomes_messages_or_is_refused_and_both_are_counted() -> None:
     assert (edge.accepted, edge.refused) == (1, 5)
     assert edge.refused_by_reason["no number"] == 3
     assert "north_m" in edge.reason
-
-
-def test_reasons_that_a_sender_can_choose_do_not_take_memory_without_end() -> None:
-    edge = Text(epoch=1)
-    for number in range(1000):
+    for number in range(1000):  # a sender may choose them: they take no memory without end
         edge.refuse(Refused(f"kind {chr(0x100 + number)}: x"))
-    assert edge.refused == 1000
+    assert edge.refused == 1005
     assert len(edge.refused_by_reason) <= 101

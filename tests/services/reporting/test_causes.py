@@ -12,14 +12,13 @@ import msgspec
 import numpy as np
 import pytest
 
+from benchmarks.faults.effects import Interval, NodeWrapper
+from benchmarks.faults.sensor_faults import Failure, FaultySensors, SensorFault
 from ltv_mpc import simulate
 from ltv_mpc.messages import Estimate, Message, Plan
 from ltv_mpc.node import Inbox, Node
 from services.reporting.assessment import assessment, next_option
 from services.tools import python_run
-from sim.faults.interval import Interval
-from sim.faults.node_wrapper import NodeWrapper
-from sim.faults.sensor_faults import Failure, FaultySensors, SensorFault
 
 FROM_NS = 3_000_000_000
 """Vehicle time at which a fault begins."""

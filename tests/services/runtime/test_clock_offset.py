@@ -30,28 +30,17 @@ def mostly_quick(rng: random.Random) -> float:
     return 0.002 + (rng.random() < 0.05) * rng.uniform(0.2, 0.5)
 
 
-@dataclass
-class Theirs:
-    """True clock of the other side."""
-
-    offset_ns: int
-    ppm: float = 0.0
-
-    def at(self, m_us: int) -> int:
-        return self.offset_ns + m_us * 1000 + round(m_us * self.ppm / 1000)
+def drifting(offset_ns: int, ppm: float) -> Callable[[int], int]:
+    """Return the true clock of the other side: its time (ns) at our time (us)."""
+    return lambda m_us: offset_ns + m_us * 1000 + round(m_us * ppm / 1000)
 
 
 def exchanged(
-    clock: ClockOffsetEstimator,
-    theirs: Theirs,
-    *,
-    out: Delay,
-    back: Delay,
-    reports: bool,
-    until_s: int = 60,
-    seed: int = 1,
+    clock: ClockOffsetEstimator, theirs: Callable[[int], int], *, out: Delay, back: Delay, reports: bool, seed: int = 1
 ) -> Iterator[int]:
-    """Exchange a message every 0.1 s and a plan every 0.3 s, a tenth of both duplicated; yield the time of each event.
+    """Exchange messages for a minute, one every 0.1 s and a plan every 0.3 s, a tenth of both duplicated.
+
+    Yield the time of each event; ``theirs`` is the true clock of the other side.
 
     Delays are drawn one by one, so that messages overtake each other; the report of a plan is in the next message.
     """
@@ -68,10 +57,10 @@ def exchanged(
     def plan(m_us: int) -> None:
         for _ in range(1 + (rng.random() < 0.1)):
             arrives = round(m_us + 1e6 * out(rng))
-            at(arrives, lambda arrives=arrives: got.append((m_us, theirs.at(arrives))))
+            at(arrives, lambda arrives=arrives: got.append((m_us, theirs(arrives))))
 
     def message(m_us: int) -> None:
-        stamp, (sent_us, received_ns) = theirs.at(m_us), got[-1]
+        stamp, (sent_us, received_ns) = theirs(m_us), got[-1]
 
         def come(arrived_us: int) -> None:
             clock.add_stamp(stamp, arrived_us)
@@ -82,7 +71,7 @@ def exchanged(
             arrives = round(m_us + 1e6 * back(rng))
             at(arrives, lambda arrives=arrives: come(arrives))
 
-    for k in range(until_s * 10):
+    for k in range(600):
         at(base_us + k * 100_000, lambda k=k: message(base_us + k * 100_000))
         if k % 3 == 0:
             at(base_us + k * 100_000 + 6_000, lambda k=k: plan(base_us + k * 100_000 + 6_000))
@@ -104,13 +93,13 @@ def exchanged(
     ],
 )
 def test_with_reports_the_true_time_is_within_half_the_smallest_round_trip(ppm, offset_ns, out, back, most_s):
-    clock, theirs = ClockOffsetEstimator(), Theirs(offset_ns, ppm)
+    clock, theirs = ClockOffsetEstimator(), drifting(offset_ns, ppm)
     two_way = []
     for m_us in exchanged(clock, theirs, out=out, back=back, reports=True):
         reading = clock.read(m_us)
         if reading is None or reading.mode is ClockMode.ONE_WAY:
             continue
-        off_ns = m_us * 1000 + reading.offset_ns - theirs.at(m_us)
+        off_ns = m_us * 1000 + reading.offset_ns - theirs(m_us)
         assert abs(off_ns) <= reading.error_ns
         two_way.append(reading.error_ns)
     assert clock.clock_steps == 0
@@ -120,9 +109,9 @@ def test_with_reports_the_true_time_is_within_half_the_smallest_round_trip(ppm, 
 
 @pytest.mark.parametrize("ppm", [-50.0, 50.0])
 @pytest.mark.parametrize("told_s", [0.0, 0.04])
-@pytest.mark.parametrize("back", [jumping, steady])
-def test_a_one_way_clock_is_behind_by_the_smallest_delay_and_states_no_error(ppm, told_s, back):
-    clock, theirs = ClockOffsetEstimator(input_delay_ns=round(told_s * 1e9)), Theirs(YEARS_NS, ppm)
+@pytest.mark.parametrize(("back", "least_s", "most_s"), [(jumping, -0.0001, 0.025), (steady, 0.0369, 0.0431)])
+def test_a_one_way_clock_is_behind_by_the_smallest_delay_and_states_no_error(ppm, told_s, back, least_s, most_s):
+    clock, theirs = ClockOffsetEstimator(input_delay_ns=round(told_s * 1e9)), drifting(YEARS_NS, ppm)
     behind = []
     for m_us in exchanged(clock, theirs, out=steady, back=back, reports=False):
         reading = clock.read(m_us)
@@ -130,14 +119,9 @@ def test_a_one_way_clock_is_behind_by_the_smallest_delay_and_states_no_error(ppm
             continue
         assert reading.mode is ClockMode.ONE_WAY
         assert reading.error_ns is None
-        behind.append((theirs.at(m_us) - m_us * 1000 - reading.offset_ns) * 1e-9 + told_s)
+        behind.append((theirs(m_us) - m_us * 1000 - reading.offset_ns) * 1e-9 + told_s)
     settled = behind[len(behind) // 4 :]
-    if back is steady:
-        assert min(settled) == pytest.approx(0.04, abs=0.0031)
-        assert max(settled) == pytest.approx(0.04, abs=0.0031)
-    else:
-        assert min(settled) > -0.0001
-        assert max(settled) < 0.025
+    assert least_s <= min(settled) <= max(settled) <= most_s
 
 
 def test_the_shortest_round_trip_counts_for_thirty_seconds_widened_by_drift():
@@ -154,25 +138,6 @@ def test_the_shortest_round_trip_counts_for_thirty_seconds_widened_by_drift():
     m_us = WINDOW_US + 1_000
     clock.add_stamp((m_us - 400_000) * 1000, m_us)
     assert clock.read(m_us).error_ns > 150_000_000
-
-
-def test_one_implausible_stamp_is_ignored_and_three_in_a_row_set_the_clock():
-    clock = ClockOffsetEstimator()
-    for k in range(50):
-        assert clock.add_stamp(YEARS_NS + k * 100_000_000, k * 100_000)
-    before = clock.read(5_000_000)
-    hour_ns = 3_600_000_000_000
-    assert not clock.add_stamp(YEARS_NS + hour_ns, 5_000_000)
-    assert clock.add_stamp(YEARS_NS + 5_100_000_000, 5_100_000)
-    assert not clock.add_stamp(YEARS_NS - hour_ns, 5_200_000)
-    assert clock.read(5_200_000).offset_ns == pytest.approx(before.offset_ns, abs=100_000)
-    assert clock.add_stamp(YEARS_NS + 5_300_000_000, 5_300_000)
-    believed = [
-        clock.add_stamp(YEARS_NS - hour_ns + k * 100_000_000, k * 100_000) for k in range(54, 54 + STEP_DETECTED_AT)
-    ]
-    assert believed == [False] * (STEP_DETECTED_AT - 1) + [True]
-    assert clock.clock_steps == 1
-    assert clock.read(5_700_000).offset_ns == pytest.approx(YEARS_NS - hour_ns, abs=100_000)
 
 
 @pytest.mark.parametrize("off_s", [-0.5, 3600.0])
@@ -243,37 +208,28 @@ def test_two_way_a_step_is_recognised_by_three_contradictions_in_a_row(step_s):
     assert stepped.clock.read(60_000_000).error_ns < 10_000_000
 
 
-@pytest.mark.parametrize("step_s", STEPS_S)
-def test_one_way_a_step_forward_is_recognised_by_three_stamps_that_agree(step_s):
+@pytest.mark.parametrize(
+    ("step_s", "certain", "least_s", "most_s"),
+    [
+        *[(step_s, True, 0.0, 0.3) for step_s in STEPS_S],  # by three stamps that agree
+        *[(step_s, False, LATE_US * 1e-6, 1.3) for step_s in (-0.3, -1.0, -5.0)],  # by a second of lateness
+        *[(step_s, True, 0.0, 0.3) for step_s in (-60.0, -DAY_S)],  # by stamps that are later than any delay
+    ],
+)
+def test_one_way_a_step_is_recognised_and_certain_unless_a_congested_link_may_explain_it(
+    step_s, certain, least_s, most_s
+):
     stepped = stepping(step_s, two_way=False)
-    assert stepped.wrong_s <= 0.3
-    assert stepped.clock.clock_steps == 1
-    assert stepped.clock.certain
+    assert (stepped.clock.clock_steps, stepped.clock.certain) == (1, certain)
+    assert least_s <= stepped.recognised_s <= most_s
+    assert stepped.wrong_s <= most_s
+    assert certain or stepped.rejected == 0
 
 
 @pytest.mark.parametrize("step_s", [0.02, -0.2])
 def test_one_way_a_step_that_delays_may_explain_is_not_counted(step_s):
     stepped = stepping(step_s, two_way=False)
-    assert stepped.clock.clock_steps == 0
-    assert stepped.rejected == 0
-
-
-@pytest.mark.parametrize("step_s", [-0.3, -1.0, -5.0])
-def test_one_way_a_second_of_lateness_is_a_step_back_that_is_not_certain(step_s):
-    stepped = stepping(step_s, two_way=False)
-    assert stepped.clock.clock_steps == 1
-    assert not stepped.clock.certain
-    assert LATE_US * 1e-6 <= stepped.recognised_s <= 1.3
-    assert stepped.wrong_s <= 1.3
-    assert stepped.rejected == 0
-
-
-@pytest.mark.parametrize("step_s", [-60.0, -DAY_S])
-def test_one_way_stamps_later_than_any_delay_are_a_step_for_certain(step_s):
-    stepped = stepping(step_s, two_way=False)
-    assert stepped.clock.clock_steps == 1
-    assert stepped.clock.certain
-    assert stepped.recognised_s <= 0.3
+    assert (stepped.clock.clock_steps, stepped.rejected) == (0, 0)
 
 
 @pytest.mark.parametrize("two_way", [True, False])
@@ -301,6 +257,14 @@ def test_stamps_ahead_that_do_not_agree_are_no_step():
     assert clock.clock_steps == 0
 
 
+def late_by(delay_us: Callable[[int], int], until_us: int = 30_000_000) -> ClockOffsetEstimator:
+    """Return the estimator after a stamp each 0.1 s that arrives with a delay."""
+    clock = ClockOffsetEstimator()
+    for m_us in range(0, until_us, 100_000):
+        clock.add_stamp(m_us * 1000, m_us + delay_us(m_us))
+    return clock
+
+
 def test_contradictions_that_are_not_in_a_row_are_no_step():
     clock = ClockOffsetEstimator()
     wrong_ns = 5_000_000_000
@@ -314,18 +278,14 @@ def test_contradictions_that_are_not_in_a_row_are_no_step():
 
 
 def test_lateness_that_varies_is_no_step():
-    clock = ClockOffsetEstimator()
     rng = random.Random(3)
-    for m_us in range(0, 25_000_000, 100_000):
-        clock.add_stamp(m_us * 1000, m_us + (2_000 if m_us < 10_000_000 else round(1e6 * rng.uniform(0.3, 1.5))))
+    clock = late_by(lambda m_us: 2_000 if m_us < 10_000_000 else round(1e6 * rng.uniform(0.3, 1.5)))
     assert clock.clock_steps == 0
 
 
 def test_a_slow_first_message_costs_no_other():
-    clock = ClockOffsetEstimator()
-    assert clock.add_stamp(0, 300_000)
-    assert all(clock.add_stamp(m_us * 1000, m_us) for m_us in range(400_000, 2_000_000, 100_000))
-    assert clock.clock_steps == 0
+    clock = late_by(lambda m_us: 0 if m_us else 300_000, until_us=2_000_000)
+    assert (clock.clock_steps, clock.stamps) == (0, 20)
 
 
 def test_a_step_back_is_seen_by_lateness_where_no_plan_arrives_any_more():
@@ -350,19 +310,16 @@ def test_a_link_that_is_slow_one_way_is_no_step_where_receipts_show_it():
 
 @pytest.mark.parametrize("two_way", [True, False])
 @pytest.mark.parametrize("delay", [jumping, steady, mostly_quick])
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_delays_that_vary_are_no_steps(two_way, delay, seed):
     clock = ClockOffsetEstimator()
-    for _ in exchanged(clock, Theirs(YEARS_NS, 50.0), out=delay, back=delay, reports=two_way, until_s=60, seed=seed):
+    for _ in exchanged(clock, drifting(YEARS_NS, 50.0), out=delay, back=delay, reports=two_way, seed=seed):
         pass
     assert clock.clock_steps == 0
 
 
 def test_where_a_congested_link_clears_up_the_clock_is_set_forward_again():
-    clock = ClockOffsetEstimator()
-    for m_us in range(0, 30_000_000, 100_000):
-        late = 10_000_000 <= m_us < 20_000_000
-        clock.add_stamp(m_us * 1000, m_us + (800_000 if late else 2_000))
+    clock = late_by(lambda m_us: 800_000 if 10_000_000 <= m_us < 20_000_000 else 2_000)
     assert clock.clock_steps == 2
     assert clock.certain
     assert clock.read(30_000_000).offset_ns == pytest.approx(-2_000_000, abs=1_100_000)

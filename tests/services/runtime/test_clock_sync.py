@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 import msgspec
 import pytest
 
-from ltv_mpc.messages import Applied, ClockMode, ClockStep, Estimate
-from services.runtime.clock import VehicleClock
-from services.runtime.clock_master import ClockSource
+from ltv_mpc.messages import Applied, ClockMode, ClockState, ClockStep, Estimate
+from services.runtime.clock import ClockSegment, VehicleClock
 from services.runtime.clock_sync import GRACE_US, ClockSync
+from tests.ltv_mpc.reports import report
 
 YEARS_NS = 1_763_740_800_000_000_000  # Unix time of late 2025
 EPOCH = 77
@@ -24,19 +24,7 @@ def estimate(t_ns: int) -> Estimate:
 
 
 def applied(t_ns: int, received_ns: int, sequence: int, epoch: int = EPOCH) -> Applied:
-    return Applied(
-        t_ns=t_ns,
-        thrust_N=(0.0, 0.0, 0.0),
-        command_N=(0.0, 0.0, 0.0),
-        command_slew_N_per_s=(0.0, 0.0, 0.0),
-        plan_epoch=epoch,
-        plan_sequence=sequence,
-        plan_cycle_t_ns=0,
-        plan_received_t_ns=received_ns,
-        plan_late=False,
-        plans_late=0,
-        plans_rejected=0,
-    )
+    return report(t_ns, (0, 0, 0), plan_epoch=epoch, plan_sequence=sequence, plan_received_t_ns=received_ns)
 
 
 def begun() -> tuple[VehicleClock, ClockSync, int]:
@@ -49,18 +37,13 @@ def begun() -> tuple[VehicleClock, ClockSync, int]:
     return clock, time, m_us
 
 
-def test_without_a_clock_for_half_a_second_the_time_is_that_of_the_stamps():
-    clock, time, m_us = begun()
-    assert time.active
-    assert clock.read(m_us) == pytest.approx(YEARS_NS + (m_us - 20_000) * 1000, abs=100_000)
-    assert time.offset(m_us)[0] is ClockMode.ONE_WAY
-
-
 @pytest.mark.parametrize(
     ("epoch", "sequence", "mode"), [(EPOCH, 3, "two-way"), (EPOCH, 4, "one-way"), (5, 3, "one-way")]
 )
 def test_only_the_receipt_of_a_plan_that_this_process_sent_makes_it_two_way(epoch, sequence, mode):
     clock, time, m_us = begun()
+    assert time.active
+    assert clock.read(m_us) == pytest.approx(YEARS_NS + (m_us - 20_000) * 1000, abs=100_000)
     time.on_plan_sent(3, m_us)
     report = applied(YEARS_NS + (m_us + 30_000) * 1000, YEARS_NS + (m_us + 20_000) * 1000, sequence, epoch)
     assert time.check_stamp(report, THEIRS, m_us + 50_000) == ""
@@ -81,10 +64,9 @@ def test_a_receipt_that_contradicts_the_clock_is_rejected_with_its_reason():
 
 def test_stamps_are_not_compared_with_our_clock_where_a_clock_is_published():
     clock = VehicleClock()
-    keeper = ClockSource(epoch=3, start_ns=0, speed=10.0, now_us=0)
     time = ClockSync(clock, epoch=EPOCH)
     assert time.check_stamp(estimate(0), THEIRS, 0) == ""
-    clock.follow(keeper.run(0))
+    clock.set_segment(ClockSegment(0, 0, 10, 1, ClockState.RUNNING))
     for m_us in range(100_000, 5_000_000, 100_000):
         assert time.check_stamp(estimate(m_us * 10_000), THEIRS, m_us) == ""
     assert not time.active
@@ -184,6 +166,9 @@ def test_a_report_of_a_plan_from_before_a_step_is_rejected():
 def test_two_publishers_may_have_clocks_of_their_own_and_plans_go_by_the_actuators(apart_s):
     link = Link({NAVIGATION: YEARS_NS + round(apart_s * 1e9), ACTUATORS: YEARS_NS})
     link.run(5.0)
+    link.sync.follow_source(NAVIGATION, link.m_us)  # whichever source is in use
+    link.run(1.0)
+    assert link.steps == []
     for epoch in (NAVIGATION, ACTUATORS):
         assert link.stamp_error_ns(epoch) == pytest.approx(0, abs=10_000_000)
     assert link.plan_error_ns(ACTUATORS) == pytest.approx(0, abs=5_000_000)
@@ -209,15 +194,6 @@ def test_two_publishers_on_one_clock_need_no_shift():
     link.run(5.0)
     assert link.steps == []
     assert (link.sync.shift_ns(NAVIGATION, link.m_us), link.sync.published_shift_ns) == (0, 0)
-
-
-def test_with_reports_plans_go_by_the_actuators_whichever_source_is_in_use():
-    link = Link({NAVIGATION: YEARS_NS + 60 * 10**9, ACTUATORS: YEARS_NS})
-    link.run(5.0)
-    link.sync.follow_source(NAVIGATION, link.m_us)
-    link.run(1.0)
-    assert link.steps == []
-    assert link.plan_error_ns(ACTUATORS) == pytest.approx(0, abs=5_000_000)
 
 
 def test_estimates_that_are_always_half_a_second_late_share_the_actuators_clock():

@@ -23,28 +23,26 @@ def tell(console: Console, text: str = DEGRADED) -> None:
     console.tell(Level.WARNING, "health", text, t_ns=81_300_000_000, fields={"health": "degraded"})
 
 
-def test_on_a_terminal_the_status_is_replaced_and_lines_go_above_it() -> None:
-    out = Terminal()
+@pytest.mark.parametrize(
+    ("out", "written"),
+    [
+        (
+            Terminal(),
+            f"{ERASE}controller: nominal{ERASE}controller: waiting for applied\ncontroller: nominal"
+            f"{ERASE}controller: degraded\n",
+        ),
+        (io.StringIO(), "controller: waiting for applied\n"),
+    ],
+    ids=["terminal", "pipe"],
+)
+def test_on_a_terminal_alone_a_status_is_shown_and_lines_go_above_it(out: io.StringIO, written: str) -> None:
     console = Console("controller", out=out)
     console.show("nominal")
     console.say("waiting for applied")
     console.show("degraded")
     console.close()
     console.close()
-    first, above, second = out.getvalue().split(ERASE)[1:]
-    assert first == "controller: nominal"
-    assert above == f"controller: waiting for applied\n{first}"
-    assert second == "controller: degraded\n"
-
-
-def test_in_a_pipe_there_is_no_status_line() -> None:
-    out = io.StringIO()
-    console = Console("controller", out=out)
-    for _ in range(25):
-        console.show("nominal")
-    console.say("waiting for applied")
-    console.close()
-    assert out.getvalue() == "controller: waiting for applied\n"
+    assert out.getvalue() == written
 
 
 def test_a_change_has_its_time_to_the_millisecond_on_one_line() -> None:
@@ -104,10 +102,7 @@ def test_a_text_breaks_where_a_clause_ends_and_else_between_words() -> None:
     words = "a clause that has no end " * 4
     assert all(len(line) <= 30 for line in fold(words, 30).splitlines())
     assert fold(words, 30).split() == words.split()
-
-
-def test_a_path_or_an_address_stays_whole_however_long() -> None:
-    path = "/folder" * 9
+    path = "/folder" * 9  # stays whole
     assert fold(f"see {path}: full", 30, indent=2).splitlines() == ["see", f"  {path}:", "  full"]
 
 

@@ -8,46 +8,14 @@ import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc.messages import (
-    Applied,
-    Authority,
-    ClockStep,
-    FenceInForce,
-    FenceReport,
-    Health,
-    Plan,
-    PlanOrigin,
-    Solve,
-    SolveStatus,
-    ZoneInForce,
-)
-from services.runtime.console import Level
+from ltv_mpc.messages import Authority, ClockStep, FenceInForce, FenceReport, Health, ZoneInForce
 from services.runtime.controller_changes import ControllerChanges, FenceChanges
+from tests.ltv_mpc.reports import report
 from tests.services.controller_status import status
+from tests.services.edges.plans import plan
 
-PLAN = Plan(
-    cycle_t_ns=7,
-    t_ns=np.array([0, 1]),
-    thrust_N=np.zeros((2, 3)),
-    states=np.zeros((2, 6)),
-    origin=PlanOrigin.SOLVED,
-    solve=Solve(status=SolveStatus.SOLVED),
-)
+PLAN = plan(7)
 STATUS = msgspec.structs.replace(status(), t_ns=5, authority=Authority.CONTROLLER, health=Health.NOMINAL, health_why="")
-APPLIED = Applied(
-    t_ns=9,
-    thrust_N=(0.0, 0.0, 0.0),
-    command_N=(0.0, 0.0, 0.0),
-    command_slew_N_per_s=(0.0, 0.0, 0.0),
-    plan_epoch=1,
-    plan_sequence=0,
-    plan_cycle_t_ns=0,
-    plan_received_t_ns=0,
-    plan_late=False,
-    plans_late=0,
-    plans_rejected=0,
-)
-
 ARRIVED = msgspec.structs.replace(PLAN, arrived=True)
 
 Told = list[tuple[str, str, str, int, dict[str, Any]]]
@@ -122,7 +90,7 @@ def test_rejections_are_told_by_reason_at_one_ten_a_hundred(changes: ControllerC
 
 def test_plans_rejected_and_late_are_counted_from_the_first_report_on(changes: ControllerChanges, told: Told) -> None:
     for rejected, late in ((206, 3), (206, 3), (207, 3), (220, 4), (0, 0), (1, 0), (90, 0)):
-        changes.on_message(msgspec.structs.replace(APPLIED, plans_rejected=rejected, plans_late=late))
+        changes.on_message(report(9, (0, 0, 0), plans_rejected=rejected, plans_late=late))
     assert [(level, kind, text) for level, kind, text, _, _ in told] == [
         ("warning", "plans", "plans rejected by the actuators"),
         ("warning", "plans", "plans rejected by the actuators: 14 so far"),
@@ -138,38 +106,36 @@ def test_each_step_of_a_clock_is_told(changes: ControllerChanges, told: Told) ->
     assert told == [("warning", "clock", text, 3, {"input": "estimate", "step_ns": -(10**9)})] * 2
 
 
-def test_zones_and_margins_are_reported_when_they_are_entered_and_left():
-    told: list[tuple[Level, str]] = []
-    changes = ControllerChanges(lambda level, _kind, text, **_: told.append((level, text)))
+def test_zones_and_margins_are_reported_when_they_are_entered_and_left(changes: ControllerChanges, told: Told) -> None:
     buoy = 'keep_out_disc[0] "buoy"'
     reports = (
-        FenceReport(clearance_m=1.0, in_margin=(buoy,)),
-        FenceReport(clearance_m=-0.1, in_margin=(buoy,), inside=(buoy,)),
-        FenceReport(clearance_m=-0.1, in_margin=(buoy,), inside=(buoy,)),
-        FenceReport(clearance_m=1.0, in_margin=(buoy,)),
-        FenceReport(clearance_m=5.0, dropped=(12,)),
-        FenceReport(clearance_m=5.0, exceeded=3),
-        FenceReport(clearance_m=5.0, exceeded=8),
-        FenceReport(clearance_m=5.0, no_way=True, skipped_m=4.0),
-        FenceReport(clearance_m=5.0, skipped_m=4.0, time_to_zone_ns=85_000_000_000),
-        FenceReport(clearance_m=5.0, skipped_m=4.0, time_to_zone_ns=84_000_000_000),
+        {"in_margin": (buoy,)},
+        {"in_margin": (buoy,), "inside": (buoy,)},
+        {"in_margin": (buoy,), "inside": (buoy,)},
+        {"in_margin": (buoy,)},
+        {"dropped": (12,)},
+        {"exceeded": 3},
+        {"exceeded": 8},
+        {"no_way": True, "skipped_m": 4.0},
+        {"skipped_m": 4.0, "time_to_zone_ns": 85_000_000_000},
+        {"skipped_m": 4.0, "time_to_zone_ns": 84_000_000_000},
     )
     changes.on_message(PLAN)
     del told[:]
-    for report in reports:
-        changes.on_message(msgspec.structs.replace(PLAN, fence=report))
-    assert told == [
-        (Level.WARNING, f"margin entered: {buoy}"),
-        (Level.ERROR, f"zone entered: {buoy}"),
-        (Level.INFO, f"zone left: {buoy}"),
-        (Level.INFO, f"margin left: {buoy}"),
-        (Level.WARNING, "a report of obstacle 12 is dropped: too old, or ahead of the vehicle's time"),
-        (Level.WARNING, "the plan lacks more than 1 cm of a required clearance at 3 of its points"),
-        (Level.INFO, "the plan keeps the required clearances again"),
-        (Level.WARNING, "no way round the zones leads to the target"),
-        (Level.WARNING, "the reference lies in a zone or its margin: 4.0 m are left out"),
-        (Level.INFO, "a way to the target is found"),
-        (Level.WARNING, "the hull will be in a zone or obstacle in 85 s"),
+    for fence in reports:
+        changes.on_message(msgspec.structs.replace(PLAN, fence=FenceReport(clearance_m=5.0, **fence)))
+    assert [(level, text) for level, _, text, _, _ in told] == [
+        ("warning", f"margin entered: {buoy}"),
+        ("error", f"zone entered: {buoy}"),
+        ("info", f"zone left: {buoy}"),
+        ("info", f"margin left: {buoy}"),
+        ("warning", "a report of obstacle 12 is dropped: too old, or ahead of the vehicle's time"),
+        ("warning", "the plan lacks more than 1 cm of a required clearance at 3 of its points"),
+        ("info", "the plan keeps the required clearances again"),
+        ("warning", "no way round the zones leads to the target"),
+        ("warning", "the reference lies in a zone or its margin: 4.0 m are left out"),
+        ("info", "a way to the target is found"),
+        ("warning", "the hull will be in a zone or obstacle in 85 s"),
     ]
 
 
@@ -202,12 +168,12 @@ def test_the_time_to_a_zone_is_reported_below_each_bound_once_until_it_is_far_ag
         for level, text in reporter.update(FenceReport(clearance_m=5.0, time_to_zone_ns=time_ns)):
             told.append((level, time_s))
             assert text == f"the hull will be in a zone or obstacle in {time_s} s"
-    assert told == [(Level.WARNING, time_s) for time_s in (243, 59, 19, 19, 15, 299)]
+    assert told == [("warning", time_s) for time_s in (243, 59, 19, 19, 15, 299)]
 
 
 def test_an_arrival_is_told_once_and_not_again_by_a_controller_that_continues(
     changes: ControllerChanges, told: Told
 ) -> None:
-    for plan in (ARRIVED, PLAN, ARRIVED, ARRIVED, PLAN, ARRIVED):
-        changes.on_message(plan)
+    for message in (ARRIVED, PLAN, ARRIVED, ARRIVED, PLAN, ARRIVED):
+        changes.on_message(message)
     assert [text for _, kind, text, *_ in told if kind == "arrived"] == ["arrived at the end of the reference"] * 2

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from ltv_mpc.messages import Battery, ClockState, Estimate, GnssFix, Leak, Manual, NodeStatus, UsblFix
+from ltv_mpc.messages import Battery, ClockState, Estimate, GnssFix, Leak, Manual, Message, UsblFix
 from services.runtime.clock import ClockSegment, VehicleClock
 from services.runtime.node_status import (
     HURRIED_PERIOD_US,
@@ -22,13 +21,17 @@ MS = 1_000
 SENT, WAY = 10**9, 70 * MS
 
 
-def behind(speed: int, *, sent_us: int = SENT, waits_us: int = 5 * MS) -> NodeStatusReporter:
-    """Return the reporter after a message with 70 ms of transit that then waited."""
+def running(speed: int) -> VehicleClock:
     clock = VehicleClock()
     clock.set_segment(ClockSegment(0, 0, speed, 1, ClockState.RUNNING))
+    return clock
+
+
+def behind(speed: int, *, sent_us: int = SENT, waits_us: int = 5 * MS) -> NodeStatusReporter:
+    """Return the reporter after a message with 70 ms of transit that then waited."""
     nothing: Any = None
     report = NodeStatusReporter(
-        "n", outbox=nothing, counts=nothing, mailbox=nothing, waiting=WaitingFor(clock, ()), say=print
+        "n", outbox=nothing, counts=nothing, mailbox=nothing, waiting=WaitingFor(running(speed), ()), say=print
     )
     report.due_us = 10**18
     report.on_delivery(sent_us, SENT + WAY, SENT + WAY + waits_us)
@@ -63,33 +66,15 @@ def test_the_queue_after_one_long_step_is_no_backlog() -> None:
 
 
 @pytest.mark.parametrize(
-    ("missing", "says"),
+    ("inputs", "node_waits", "says"),
     [
-        (None, "sensor/gnss, sensor/usbl"),  # all that it never heard of
-        (lambda: "imu", "imu"),
-        (lambda: "", ""),  # begun: that this vehicle has no acoustic fixes is nothing to wait for
+        ((GnssFix, UsblFix), None, "sensor/gnss, sensor/usbl"),  # all that it never heard of
+        ((GnssFix, UsblFix), lambda: "imu", "imu"),  # a node's own account of its needs
+        ((GnssFix, UsblFix), lambda: "", ""),  # begun: that this vehicle has no acoustic fixes is nothing to wait for
+        ((Estimate, Battery, Leak, Manual), None, "estimate"),  # nor the instruments that a vehicle may lack
     ],
 )
-def test_a_node_s_own_account_of_its_needs_is_published(missing: Callable[[], str] | None, says: str) -> None:
-    clock = VehicleClock()
-    clock.set_segment(ClockSegment(0, 0, 1, 1, ClockState.RUNNING))
-    said: list[NodeStatus] = []
-    outbox: Any = SimpleNamespace(publish=said.append, published=0)
-    counts: Any = SimpleNamespace(received=0, dropped=0, rejected=0)
-    mailbox: Any = SimpleNamespace(overflowed=0)
-    report = NodeStatusReporter(
-        "n",
-        outbox=outbox,
-        counts=counts,
-        mailbox=mailbox,
-        waiting=WaitingFor(clock, (GnssFix, UsblFix), node_waits=missing),
-        say=lambda _: None,
-    )
-    report.publish(SENT)
-    assert said[0].waiting_for == says
-
-
-def test_instruments_that_a_vehicle_may_lack_are_not_waited_for() -> None:
-    clock = VehicleClock()
-    clock.set_segment(ClockSegment(0, 0, 1, 1, ClockState.RUNNING))
-    assert WaitingFor(clock, (Estimate, Battery, Leak, Manual)).text(SENT) == "estimate"
+def test_what_a_process_waits_for_is_what_its_node_needs(
+    inputs: tuple[type[Message], ...], node_waits: Callable[[], str] | None, says: str
+) -> None:
+    assert WaitingFor(running(1), inputs, node_waits=node_waits).text(SENT) == says

@@ -7,9 +7,10 @@ import time
 import msgspec
 import pytest
 
-from ltv_mpc.messages import Clock, ClockState, Estimate
-from services.runtime.clock import boot_id, monotonic_us
+from ltv_mpc.messages import Estimate
+from services.runtime.clock import monotonic_us
 from services.runtime.publication_time import FOLLOWS_HOST, FOLLOWS_VEHICLE, PublicationTime
+from tests.services.words import running_clock
 
 S_US, S_NS = 1_000_000, 1_000_000_000
 BEGAN_NS = 1_790_000_000 * S_NS
@@ -26,20 +27,6 @@ def said() -> list[str]:
 @pytest.fixture
 def times(said: list[str]) -> PublicationTime:
     return PublicationTime(start_ns=None, say=said.append)
-
-
-def announced(at_us: int) -> Clock:
-    return Clock(
-        clock_epoch=3,
-        clock_sequence=0,
-        host_boot_id=boot_id(),
-        at_monotonic_us=at_us,
-        vehicle_ns=5,
-        speed_num=1,
-        speed_den=1,
-        requested_speed=1.0,
-        state=ClockState.RUNNING,
-    )
 
 
 def stamp(times: PublicationTime, sent_us: int, *, set_by_ns: int = 0) -> None:
@@ -86,7 +73,7 @@ def test_a_vehicle_clock_that_is_set_leaves_the_time_axis_without_a_step(
 
 
 def test_an_announced_clock_is_followed_and_stamps_are_not(times: PublicationTime, said: list[str]) -> None:
-    times.add(announced(100 * S_US), 3, 100 * S_US)
+    times.add(running_clock(100 * S_US, vehicle_ns=5), 3, 100 * S_US)
     now_us = begin(times)
     assert said == []
     assert times.at(now_us, now_us) == 5 + S_NS
@@ -94,7 +81,7 @@ def test_an_announced_clock_is_followed_and_stamps_are_not(times: PublicationTim
 
 def test_a_clock_that_comes_after_the_stamps_does_not_change_the_axis(times: PublicationTime, said: list[str]) -> None:
     now_us = begin(times)
-    times.add(announced(now_us), 3, now_us)
+    times.add(running_clock(now_us, vehicle_ns=5), 3, now_us)
     assert times.at(now_us, now_us) == pytest.approx(BEGAN_NS + now_us * 1000, abs=5_000_000)
     assert said == [FOLLOWS_VEHICLE]
 
@@ -113,5 +100,5 @@ def test_in_a_simulation_messages_before_the_clock_have_the_time_of_its_start(sa
     times = PublicationTime(start_ns=-S_NS, say=said.append)
     assert times.known
     assert times.at(5, 5) == -S_NS
-    times.add(announced(100 * S_US), 3, 100 * S_US)
+    times.add(running_clock(100 * S_US, vehicle_ns=5), 3, 100 * S_US)
     assert times.at(101 * S_US, 102 * S_US) == 5 + S_NS  # when it was sent, not when it arrived

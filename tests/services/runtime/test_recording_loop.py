@@ -17,7 +17,6 @@ import pytest
 
 from ltv_mpc.messages import (
     Clock,
-    ClockState,
     Estimate,
     Message,
     NodeStatus,
@@ -30,17 +29,17 @@ from services.bus.options import BusOptions
 from services.bus.outbox import Outbox
 from services.bus.session import open_session
 from services.bus.topics import BY_TYPE
-from services.bus.wire import Header, encode, to_map
+from services.bus.wire import Header, to_map
 from services.recording.reader import Recording, StoredMessage
 from services.recording.segments import SegmentWriter
 from services.recording.writer import RunWriter
 from services.runtime import recording_loop
-from services.runtime.clock import boot_id, monotonic_us
+from services.runtime.clock import monotonic_us
 from services.runtime.publication_time import FOLLOWS_HOST, FOLLOWS_VEHICLE
 from services.runtime.recording_loop import BEGAN_BEFORE, RecordingLoop
 from services.runtime.stopping import StopRequest
 from services.runtime.supervisor_link import SupervisorLink
-from tests.services.words import status
+from tests.services.words import running_clock, status
 from tests.waiting import until
 
 S = 1_000_000_000
@@ -71,16 +70,15 @@ def record(
     port: int,
     say: Callable[[Outbox, Callable[[bytes], None]], None],
     *,
-    overflowed: int = 0,
+    begin: Callable[[RecordingLoop], object] = lambda _: None,
     start_ns: int | None = -S,
     said: Callable[[str], None] = print,
     timed: bool = True,
 ) -> list[StoredMessage]:
     """Return the recording of what ``say`` publishes, as messages and as bytes on the key of depths.
 
-    ``overflowed`` is the number of messages that found no room in the recorder's mailbox. ``start_ns``: None beside a
-    vehicle. ``said`` takes what the recorder says. Not ``timed``: nothing tells the time, so nothing is written before
-    the end.
+    ``begin`` is called with the loop before it serves. ``start_ns``: None beside a vehicle. ``said`` takes what the
+    recorder says. Not ``timed``: nothing tells the time, so nothing is written before the end.
     """
     endpoint = f"tcp/127.0.0.1:{port}"
     stop = StopRequest()
@@ -89,16 +87,12 @@ def record(
         Listening(path, start_ns or 0) as writer,
     ):
         loop = RecordingLoop(writer, start_ns=start_ns, say=said)
-        loop.mailbox.overflowed = overflowed
+        begin(loop)
         thread = threading.Thread(target=loop.serve, args=(BusOptions(connect=(endpoint,), mode="client"), stop))
         thread.start()
         out = Outbox(session, node="plant", epoch=EPOCH, kinds=(Clock, NodeStatus, Estimate, StepRecord))
-        deadline = time.monotonic() + 60
         knock = session.publisher(UNREAD).put
-        while not loop.rejected and time.monotonic() < deadline:  # until it has subscribed, and the router knows
-            knock(b"")
-            time.sleep(0.01)
-        assert loop.rejected
+        until(lambda: knock(b"") or loop.rejected)  # it has subscribed, and the router knows
         say(out, session.publisher(KEY).put)
         out.publish(status(Listening.AFTER))
         assert not timed or writer.heard.wait(60)
@@ -113,25 +107,11 @@ def depth(sequence: int, sent_us: int) -> bytes:
     return bytes(msgpack.packb(message | {"sequence": sequence, "sent_monotonic_us": sent_us}))
 
 
-def clock(at_us: int) -> Clock:
-    return Clock(
-        clock_epoch=EPOCH,
-        clock_sequence=0,
-        host_boot_id=boot_id(),
-        at_monotonic_us=at_us,
-        vehicle_ns=0,
-        speed_num=1,
-        speed_den=1,
-        requested_speed=1.0,
-        state=ClockState.RUNNING,
-    )
-
-
 def test_a_frame_with_a_wrong_header_neither_moves_the_others_nor_ends_the_recording(
     tmp_path: Path, free_port: int
 ) -> None:
     def say(out: Outbox, put: Callable[[bytes], None]) -> None:
-        out.publish(clock(monotonic_us()))
+        out.publish(running_clock(monotonic_us(), epoch=EPOCH))
         put(depth(0, monotonic_us()))
         put(depth(1, monotonic_us() * 1000))  # nanoseconds: in range, and days ahead
         put(depth(2, 2**62))
@@ -153,9 +133,9 @@ def test_messages_without_room_in_the_mailbox_count_as_dropped(tmp_path: Path, f
     """They are not counted twice: the frames after them show a gap in their sequence numbers."""
 
     def say(_: Outbox, put: Callable[[bytes], None]) -> None:
-        put(encode(PressureDepth(t_ns=0, depth_m=1.0), Header(epoch=EPOCH, sequence=3, sent_monotonic_us=0)))
+        put(depth(3, 0))
 
-    messages = record(tmp_path / "run.mcap", free_port, say, overflowed=5)
+    messages = record(tmp_path / "run.mcap", free_port, say, begin=lambda loop: setattr(loop.mailbox, "overflowed", 5))
     own = [message.plain for message in messages if message.key == "status/recorder"]
     assert own[-1]["dropped"] == 5  # 3 of which are also the gap before sequence 3
 
@@ -177,9 +157,7 @@ def test_messages_lost_by_a_full_disk_are_counted_and_reported(
     def say(_: Outbox, put: Callable[[bytes], None]) -> None:
         for sequence in range(8):
             put(depth(sequence, monotonic_us()))
-        deadline = time.monotonic() + 20
-        while not (tmp_path / "run.2.mcap").exists() and time.monotonic() < deadline:
-            time.sleep(0.01)
+        until((tmp_path / "run.2.mcap").exists)
 
     path = tmp_path / "run.mcap"
     before = record(path, free_port, say)
@@ -242,7 +220,7 @@ def test_beside_a_vehicle_that_says_nothing_messages_have_the_time_of_this_host(
 def test_a_late_recorder_counts_no_loss_and_reports_what_cannot_be_replayed(tmp_path: Path, free_port: int) -> None:
     def say(out: Outbox, put: Callable[[bytes], None]) -> None:
         put(depth(1000, monotonic_us()))
-        out.publish(clock(monotonic_us()))
+        out.publish(running_clock(monotonic_us(), epoch=EPOCH))
         put(depth(1001, monotonic_us()))
         put(depth(1003, monotonic_us()))
         for step in (70, 71):
@@ -257,9 +235,10 @@ def test_a_late_recorder_counts_no_loss_and_reports_what_cannot_be_replayed(tmp_
 class Watched(SupervisorLink):
     """Link that notes at each heartbeat how many frames the loop has rejected so far."""
 
+    loop: RecordingLoop
+
     def __init__(self) -> None:
         super().__init__()
-        self.loop: RecordingLoop
         self.rejected = [0]
 
     def beat(self, now_us: int) -> None:
@@ -271,42 +250,36 @@ def test_a_flood_neither_stops_the_heartbeats_nor_the_recorder_and_is_answered_w
     tmp_path: Path, free_port: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Frames of an unknown key and messages arrive faster than they are written, and go on after the stop request."""
-    link, flood = Watched(), threading.Event()
+    link, ended, said = Watched(), threading.Event(), list[str]()
     monkeypatch.setattr(recording_loop, "SUPERVISOR_LINK", link)
-    endpoint = f"tcp/127.0.0.1:{free_port}"
-    stop = StopRequest()
-    said: list[str] = []
 
-    def pour(sequence: int = 0) -> None:
-        while not flood.is_set():
+    def pour() -> None:
+        sequence = 0
+        while not ended.is_set():
             link.loop.mailbox.offer(BY_TYPE[PressureDepth], KEY, depth(sequence, monotonic_us()))
             link.loop.mailbox.offer(None, UNREAD, b"")
             sequence += 1
             time.sleep(0.002)
 
-    with (
-        open_session(BusOptions(listen=(endpoint,)), stop=StopRequest(), say=print),
-        Listening(tmp_path / "run.mcap") as writer,
-    ):
-        link.loop = RecordingLoop(writer, start_ns=-S, say=said.append)
+    def begin(loop: RecordingLoop) -> None:
+        link.loop = loop
         for _ in range(10_000):
-            link.loop.mailbox.offer(None, UNREAD, b"")
-        threads = [
-            threading.Thread(target=link.loop.serve, args=(BusOptions(connect=(endpoint,), mode="client"), stop)),
-            threading.Thread(target=pour),
-        ]
-        for thread in threads:
-            thread.start()
-        until(lambda: link.loop.rejected > 10_000)
-        stop.request()
-        threads[0].join(30.0)
-        ended = not threads[0].is_alive()
-        flood.set()
-        for thread in threads:
-            thread.join()
-    assert ended
+            loop.mailbox.offer(None, UNREAD, b"")
+        pouring.start()
+
+    pouring = threading.Thread(target=pour)
+    try:
+        messages = record(
+            tmp_path / "run.mcap",
+            free_port,
+            lambda *_: until(lambda: link.loop.rejected > 10_000),
+            said=said.append,
+            begin=begin,
+        )
+    finally:
+        ended.set()
+        pouring.join()
     assert said[-1].endswith("none lost")
     assert max(after - before for before, after in pairwise(link.rejected)) <= 1
-    messages = list(Recording(tmp_path / "run.mcap"))
     assert [message for message in messages if message.key == "status/recorder"][-1].plain["finished"]
     assert 0 < sum(message.kind is RejectedFrame for message in messages) < 5_000

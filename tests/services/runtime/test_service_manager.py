@@ -40,36 +40,29 @@ def received(receiver: socket.socket) -> list[str]:
             return texts
 
 
-def test_ready_status_and_stopping_are_one_datagram_each(manager: tuple[socket.socket, str]) -> None:
-    receiver, address = manager
-    process = ServiceManager()
-    process.connect({"NOTIFY_SOCKET": address})
-    process.status("waiting\nfor the router")
-    process.status("waiting for the router")
-    process.ready()
-    assert process.due_us is None  # the manager expects no watchdog
-    process.stopping()
-    process.status("gone")
-    assert received(receiver) == ["STATUS=waiting for the router", "READY=1", "STOPPING=1"]
-
-
-def test_the_watchdog_is_notified_four_times_in_its_time_out(manager: tuple[socket.socket, str]) -> None:
+def test_the_manager_is_told_ready_status_stopping_and_four_times_in_its_time_out_that_the_loop_runs(
+    manager: tuple[socket.socket, str],
+) -> None:
     receiver, address = manager
     process = ServiceManager()
     process.connect({"NOTIFY_SOCKET": address, "WATCHDOG_USEC": "2000000", "WATCHDOG_PID": str(os.getpid())})
-    process.beat(0)
-    assert received(receiver) == []  # not before it is ready
+    process.beat(0)  # not before it is ready
+    for text in ("waiting\nfor the router", "waiting for the router"):
+        process.status(text)
     process.ready()
-    assert received(receiver) == ["READY=1"]
+    assert received(receiver) == ["STATUS=waiting for the router", "READY=1"]
     sent = []
     for now_us in range(0, 10_000_000, 50_000):
         process.beat(now_us)
         sent += received(receiver)
     assert sent == 20 * ["WATCHDOG=1"]
     process.stopping()
+    process.status("gone")
+    assert received(receiver) == ["STOPPING=1"]
     assert process.due_us is None
 
 
+@pytest.mark.parametrize("manager", ["path"], indirect=True)
 @pytest.mark.parametrize("watchdog", [{}, {"WATCHDOG_USEC": "2000000", "WATCHDOG_PID": "1"}, {"WATCHDOG_USEC": "soon"}])
 def test_without_a_watchdog_of_this_process_none_is_notified(
     watchdog: dict[str, str], manager: tuple[socket.socket, str]
@@ -94,6 +87,7 @@ def test_without_a_manager_nothing_is_sent_and_nothing_fails(address: str) -> No
     process.stopping()
 
 
+@pytest.mark.parametrize("manager", ["path"], indirect=True)
 def test_a_manager_that_does_not_read_blocks_no_process(manager: tuple[socket.socket, str]) -> None:
     receiver, address = manager
     process = ServiceManager()

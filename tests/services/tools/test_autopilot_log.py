@@ -19,7 +19,7 @@ from ltv_mpc import Vehicle
 from ltv_mpc.config import to_toml
 from ltv_mpc.vehicle.dynamics import rates
 from services.cli.app import run
-from tests.services.edges.mavlink.test_mavlink import codec
+from tests.services.edges.mavlink.items import codec
 
 BOAT = Vehicle.load("bluerobotics-boat")
 STEP_S, SECONDS, PERIOD = 0.02, 150.0, 5

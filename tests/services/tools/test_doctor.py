@@ -20,16 +20,7 @@ from services.tools import doctor
 from services.tools.doctor import Found, Level
 
 CORE = [("numpy", ">=2.0", ""), ("rosbags", ">=0.10", "ros2"), ("ruff", ">=0.14", "dev")]
-
-
-@pytest.fixture
-def broken(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
-    """Replace a value that the checks read."""
-
-    def with_(name: str, value: object, of: Any = doctor) -> None:
-        monkeypatch.setattr(of, name, value)
-
-    return with_
+NOT_OURS = lambda name: doctor.ROOT if name != "sim" else Path("/elsewhere")  # noqa: E731
 
 
 def raises(error: Exception) -> Callable[..., Any]:
@@ -39,85 +30,50 @@ def raises(error: Exception) -> Callable[..., Any]:
     return raised
 
 
-def is_(found: Found, level: Level, *words: str) -> None:
-    assert found[0] is level, found
-    for word in words:
-        assert word in " -> ".join(found[1:])
-    assert (len(found) == 3) is (level is not Level.OK)
-
-
-Break = Callable[[Callable[..., None]], None]
-
-CASES: dict[str, tuple[Callable[[], Found], Break, Level, tuple[str, ...]]] = {
+Check = Callable[[], Found]
+CASES: dict[str, tuple[Check, dict[tuple[Any, str], Any], Level, tuple[str, ...]]] = {
     "an old python": (
-        doctor.python,
-        lambda broken: broken("version_info", (3, 10, 9, "final", 0), sys),
-        Level.PROBLEM,
-        ("3.10.9", "3.11 to 3.13"),
-    ),
+        doctor.python, {(sys, "version_info"): (3, 10, 9, "final", 0)}, Level.PROBLEM, ("3.10.9", "3.11 to 3.13")),
     "a package is missing": (
-        doctor.packages,
-        lambda broken: (broken("requirements", lambda: CORE), broken("installed", lambda _: None))[0],
-        Level.PROBLEM,
-        ("numpy is missing", 'pip install "numpy>=2.0"'),
-    ),
+        doctor.packages, {(doctor, "requirements"): lambda: CORE, (doctor, "installed"): lambda _: None},
+        Level.PROBLEM, ("numpy is missing", 'pip install "numpy>=2.0"')),
     "a package is too old": (
-        doctor.packages,
-        lambda broken: (broken("requirements", lambda: CORE), broken("installed", lambda _: "1.26.4"))[0],
-        Level.PROBLEM,
-        ("numpy is 1.26.4, must be >=2.0",),
-    ),
+        doctor.packages, {(doctor, "requirements"): lambda: CORE, (doctor, "installed"): lambda _: "1.26.4"},
+        Level.PROBLEM, ("numpy is 1.26.4, must be >=2.0",)),
     "a package is imported from elsewhere": (
-        doctor.project,
-        lambda broken: broken("folder_of", lambda name: doctor.ROOT if name != "sim" else Path("/elsewhere")),
-        Level.PROBLEM,
-        ("sim is taken from /elsewhere", "pip install -e"),
-    ),
-    "one core": (
-        doctor.cores,
-        lambda broken: broken("core_count", lambda: 1),
-        Level.WARNING,
-        ("1 cores", "--lockstep"),
-    ),
+        doctor.project, {(doctor, "folder_of"): NOT_OURS}, Level.PROBLEM,
+        ("sim is taken from /elsewhere", "pip install -e")),
+    "one core": (doctor.cores, {(doctor, "core_count"): lambda: 1}, Level.WARNING, ("1 cores", "--lockstep")),
     "no leave to write": (
-        doctor.space,
-        lambda broken: broken("TemporaryFile", raises(OSError()), doctor.tempfile),
-        Level.WARNING,
-        ("--out",),
-    ),
+        doctor.space, {(doctor.tempfile, "TemporaryFile"): raises(OSError())}, Level.WARNING, ("--out",)),
     "a full disk": (
-        doctor.space,
-        lambda broken: broken("disk_usage", lambda _: SimpleNamespace(free=5_000_000), doctor.shutil),
-        Level.PROBLEM,
-        ("0.0 GB free",),
-    ),
+        doctor.space, {(doctor.shutil, "disk_usage"): lambda _: SimpleNamespace(free=5_000_000)}, Level.PROBLEM,
+        ("0.0 GB free",)),
     "no loopback": (
-        doctor.loopback,
-        lambda broken: broken("create_server", raises(OSError(errno.EADDRNOTAVAIL, "Cannot assign")), doctor.socket),
-        Level.PROBLEM,
-        ("Cannot assign", "ip link set lo up"),
-    ),
+        doctor.loopback, {(doctor.socket, "create_server"): raises(OSError(errno.EADDRNOTAVAIL, "Cannot assign"))},
+        Level.PROBLEM, ("Cannot assign", "ip link set lo up")),
     "code not compiled yet": (
-        doctor.compiled,
-        lambda broken: (broken("CACHE_IS_PERSISTENT", True, jit), broken("is_warm", lambda: False, jit_cache))[0],
-        Level.WARNING,
-        ("make setup",),
-    ),
-}
+        doctor.compiled, {(jit, "CACHE_IS_PERSISTENT"): True, (jit_cache, "is_warm"): lambda: False}, Level.WARNING,
+        ("make setup",)),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_each_thing_that_can_be_broken_is_found_with_its_remedy(case: str, broken: Callable[..., None]) -> None:
-    check, break_it, level, words = CASES[case]
-    break_it(broken)
-    is_(check(), level, *words)
+def test_each_thing_that_can_be_broken_is_found_with_its_remedy(case: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    check, broken, level, words = CASES[case]
+    for (of, name), value in broken.items():
+        monkeypatch.setattr(of, name, value)
+    found = check()
+    assert (found[0], len(found)) == (level, 3)
+    assert all(word in " -> ".join(found[1:]) for word in words), found
 
 
 @pytest.fixture
-def well(broken: Callable[..., None]) -> None:
+def well(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing that depends on how busy or full this machine is."""
     busy = (doctor.cores, doctor.space, doctor.compiled)
-    broken("CHECKS", tuple((lambda: (Level.OK, "")) if check in busy else check for check in doctor.CHECKS))
+    checks = tuple((lambda: (Level.OK, "")) if check in busy else check for check in doctor.CHECKS)
+    monkeypatch.setattr(doctor, "CHECKS", checks)
 
 
 @pytest.mark.usefixtures("well")
@@ -128,20 +84,15 @@ def test_here_nothing_is_a_problem(capsys: pytest.CaptureFixture[str]) -> None:
     assert len(shown["findings"]) == len(doctor.CHECKS)
 
 
-@pytest.mark.usefixtures("well")
 def test_a_problem_is_exit_1_and_a_check_that_fails_is_one(
-    broken: Callable[..., None], capsys: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    broken("CHECKS", (lambda: (Level.WARNING, "b", "c"),))
+    monkeypatch.setattr(doctor, "CHECKS", (lambda: (Level.WARNING, "b", "c"),))
     assert run(["doctor"]) == 0
-
-    def falls_over() -> Found:
-        raise RuntimeError("so it is")
-
-    broken("CHECKS", (falls_over, lambda: (Level.OK, "fine")))
+    monkeypatch.setattr(doctor, "CHECKS", (raises(RuntimeError("so it is")), lambda: (Level.OK, "fine")))
     assert run(["doctor"]) == 1
     out = capsys.readouterr().out
-    assert "falls_over      cannot be checked: so it is" in out
+    assert "raised          cannot be checked: so it is" in out
     assert "fine" in out
 
 

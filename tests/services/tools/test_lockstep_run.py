@@ -7,19 +7,15 @@ import resource
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import msgspec
 import pytest
 
-from ltv_mpc.messages import AdcpPing, Estimate, ImuSamples, RecordedStep, StepRecord
-from ltv_mpc.node import ReceivedMessage
-from services.bus import topics, wire
+from ltv_mpc.messages import AdcpPing, Estimate, ImuSamples, StepRecord
 from services.cli.app import run
 from services.recording.loss_accounting import LossAccounting
-from services.recording.reader import Recording, StoredMessage
+from services.recording.reader import Recording
 from services.run import folder
 from services.run.folder import RunFolder
 from services.run.nodes import make_nodes
@@ -82,44 +78,6 @@ def test_messages_are_in_order_of_time_without_a_gap_and_all_are_counted(
     assert times[-1] == here.scenario.end_ns
     assert losses.missing == 0
     assert summary.messages.published == losses.published == len(times)
-
-
-def test_a_recording_replays_through_fresh_nodes_byte_for_byte(recorded: tuple[RunConfig, RunFolder, Summary]) -> None:
-    """Each record finds the frames of its inbox by key, epoch, sequence and crc, and they make the same outputs."""
-    here, place, _ = recorded
-    nodes = {node.name: node for node in make_nodes(here)}
-    messages = list(Recording(place.recording))
-    frames = {(m.key, m.plain["epoch"], m.plain["sequence"]): m for m in messages}
-    made: dict[str, int] = {}
-    steps = dict.fromkeys(nodes, 0)
-    for message in messages:
-        if message.kind is not StepRecord:
-            continue
-        record, _ = message.typed()
-        assert isinstance(record, StepRecord)
-        (recorded_step,) = record.steps
-        steps[record.node] += 1
-        outputs = nodes[record.node].step(recorded_step.t_ns, list(inbox(recorded_step, frames)))
-        for output in outputs:
-            key = topics.key_of(type(output), record.node)
-            sequence = made.get(key, 0)
-            made[key] = sequence + 1
-            was = frames.get((key, 1, sequence))
-            if was is None:  # still on its way when the run ended
-                assert record.node == "controller"  # which alone takes time in lock step
-                continue
-            header = wire.Header(epoch=1, sequence=sequence, sent_monotonic_us=0)
-            assert msgspec.json.encode(wire.to_map(output, header)) == msgspec.json.encode(was.plain), (key, sequence)
-    assert min(steps.values()) >= 9
-    assert steps["plant"] == 141
-    assert steps["sensors"] == 701
-
-
-def inbox(recorded: RecordedStep, frames: dict[tuple[str, int, int], StoredMessage]) -> Iterator[ReceivedMessage]:
-    for entry in recorded.inbox:
-        signal, header = frames[entry.key, entry.epoch, entry.sequence].typed()
-        assert wire.crc(wire.encode(signal, header)) == entry.crc
-        yield ReceivedMessage(signal, entry.epoch, entry.sequence, entry.received_t_ns)
 
 
 def test_a_step_is_on_record_before_its_outputs(recorded: tuple[RunConfig, RunFolder, Summary]) -> None:
@@ -200,7 +158,7 @@ def test_a_disk_that_stays_full_leaves_the_verdict_exit_1_and_no_draft(
     before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, limits[1]))  # room for the settings, not for the recording
     try:
-        code = run(["sim", "--lockstep", "--out", str(tmp_path / "run")])
+        code = run(["sim", "--lockstep", "--duration-s", "20", "--out", str(tmp_path / "run")])
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
         signal.signal(signal.SIGXFSZ, before)
@@ -220,9 +178,6 @@ def test_compiling_is_announced_and_a_signal_ends_it(tmp_path: Path) -> None:
             assert process.stderr is not None
             while "compiling" not in (line := process.stderr.readline()):
                 assert line, "it ended without an announcement"
-            while not list((tmp_path / "cache").rglob("*.nbc")):
-                assert process.poll() is None
-                time.sleep(0.05)
             process.terminate()
             assert process.stderr.readline() == "stopped while compiling\n"
             assert process.stderr.read() == ""

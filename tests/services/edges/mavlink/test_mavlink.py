@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import msgspec
@@ -16,51 +17,46 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from ltv_mpc import config
 from ltv_mpc.geofence.fence import Fence
 from ltv_mpc.messages import Action, Applied, Command, Estimate, Health
-from ltv_mpc.references import Origin
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.cli.app import run
 from services.edges.edge import Outgoing, Received, Refused
 from services.edges.mavlink.actuation import Overrides, State, channels, pwm_us
 from services.edges.mavlink.autopilot import Kind
-from services.edges.mavlink.codec import Codec, frames_of
+from services.edges.mavlink.codec import frames_of
 from services.edges.mavlink.edge import MavlinkEdge, Settings
 from services.edges.mavlink.lists import fence_of
 from services.edges.mavlink.navigation import Accuracy, Navigation
 from tests.foreign_plant.flight import distance_m
 from tests.foreign_plant.mavlink_flight import EXAMPLE, MavlinkFlight, vehicle
 from tests.services.controller_status import status
+from tests.services.edges.mavlink.items import ORIGIN, codec, item, square
 
 BOAT = "bluerobotics-boat"
 KEY = bytes(range(32))
-ORIGIN = Origin(latitude_deg=50.2, longitude_deg=-5.1)
-
-
-def codec(system: int = 1, component: int = 1, key: bytes | None = None) -> Codec:
-    return Codec(system, key, component=component, stamp=10**13)
 
 
 # --- thrust ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("thrust_N", "us"), [(0.0, 1500.0), (51.5, 1900.0), (-39.9, 1100.0), (60.0, 1900.0), (4.25, 1576.0), (-6.6, 1390.0)]
-)
-def test_a_thrust_is_the_pwm_of_the_published_curve(thrust_N: float, us: float) -> None:
-    assert pwm_us(Vehicle.load(BOAT).thruster.port, thrust_N) == pytest.approx(us)
+THRUSTS = [
+    (0.0, 1500),
+    (51.5, 1900),
+    (-39.9, 1100),
+    (60.0, 1900),
+    (4.25, 1576),
+    (-6.6, 1390),
+    (1e-6, 1528),
+    (-1e-6, 1472),
+]
 
 
-def test_the_dead_band_is_stepped_over() -> None:
+@pytest.mark.parametrize(("thrust_N", "us"), THRUSTS)
+def test_a_thrust_is_the_pwm_of_the_published_curve_and_steps_over_the_dead_band(thrust_N: float, us: float) -> None:
     port = Vehicle.load(BOAT).thruster.port
-    assert pwm_us(port, 1e-6) == pytest.approx(1528.0, abs=0.01)
-    assert pwm_us(port, -1e-6) == pytest.approx(1472.0, abs=0.01)
-
-
-def test_a_motor_that_turns_the_other_way_has_a_falling_table() -> None:
-    port = Vehicle.load(BOAT).thruster.port
-    other = msgspec.structs.replace(port, pwm_N=tuple(reversed(port.pwm_N)))
-    assert pwm_us(other, 51.5) == 1100.0
-    assert pwm_us(other, -39.9) == 1900.0
-    assert pwm_us(other, 1e-6) == pytest.approx(other.pwm_us[4], abs=200.0)
+    assert pwm_us(port, thrust_N) == pytest.approx(us, abs=0.01)
+    mirrored = tuple(3000.0 - one for one in reversed(port.pwm_us))  # of a motor that turns the other way
+    other = msgspec.structs.replace(port, pwm_us=mirrored, pwm_N=tuple(reversed(port.pwm_N)))
+    assert pwm_us(other, thrust_N) == pytest.approx(3000.0 - us, abs=0.01)
 
 
 def test_the_mix_is_the_inverse_of_that_of_the_autopilot() -> None:
@@ -113,14 +109,6 @@ def driving() -> MavlinkFlight:
     return flight
 
 
-def ends(flight: MavlinkFlight, text: str) -> None:
-    """Check that the edge has told why, has let go of the channels, and is silent."""
-    assert flight.autopilot.overrides == {}
-    assert flight.edge.overrides.state is State.IDLE
-    assert flight.autopilot.log[-1].startswith(f"LTV-MPC: not driving: {text};")
-    assert flight.autopilot.actuated_while_disarmed == 0
-
-
 def test_it_drives_an_armed_autopilot_in_manual_and_holds_the_point() -> None:
     flight = driving()
     flight.fly(30.0)
@@ -138,53 +126,46 @@ def test_without_the_ground_station_it_lets_go_and_does_not_stand_for_it() -> No
     flight.fly(0.1)
     assert flight.edge.overrides.state is State.NEUTRAL
     assert {us for us, _ in flight.autopilot.overrides.values()} == {1500}
-    flight.fly(2.0)
-    ends(flight, "ground station 255 lost")
-    flight.fly(6.0)
+    flight.fly(8.0)
     assert flight.autopilot.failsafe  # the edge has not stood for the ground station
 
 
-def test_a_second_ground_station_does_not_stand_for_the_first() -> None:
-    flight = driving()
+def other_station(flight: MavlinkFlight) -> None:
+    """Replace the ground station by another one, which does not stand for it."""
     flight.station_beats = False
     other = dialect.MAVLink(None, srcSystem=254, srcComponent=190)
     for _ in range(8):
         beat = other.heartbeat_encode(6, 8, 0, 0, 4)
         flight.deliver(flight.autopilot.receive(bytes(beat.pack(other)), 1))
         flight.fly(1.0)
-    ends(flight, "ground station 255 lost")
+
+
+def disarm(flight: MavlinkFlight) -> None:
+    flight.from_station(flight.station.command_long_encode(1, 1, 400, 0, 0.0, 0.0, 0, 0, 0, 0, 0))
 
 
 @pytest.mark.parametrize(
-    ("command", "first", "second", "text"),
+    ("cause", "text"),
     [
-        (176, 1.0, 4.0, "autopilot in mode HOLD"),
-        (176, 1.0, 10.0, "autopilot in mode AUTO"),
-        (400, 0.0, 0.0, "autopilot disarmed"),
+        (lambda flight: flight.arm(mode=4), "autopilot in mode HOLD"),
+        (lambda flight: flight.arm(mode=10), "autopilot in mode AUTO"),
+        (disarm, "autopilot disarmed"),
+        (lambda flight: setattr(flight.autopilot, "failsafe", True), "autopilot in failsafe"),
+        (lambda flight: flight.kill_controller(), "no plan"),
+        (lambda flight: flight.command(action="stop"), "controller stopped"),
+        (other_station, "ground station 255 lost"),
     ],
 )
-def test_a_change_of_mode_or_disarm_ends_it(command: int, first: float, second: float, text: str) -> None:
+def test_what_ends_it_is_told_and_the_channels_are_let_go(cause: Callable[[MavlinkFlight], None], text: str) -> None:
     flight = driving()
-    flight.from_station(flight.station.command_long_encode(1, 1, command, 0, first, second, 0, 0, 0, 0, 0))
-    flight.fly(1.1)  # its heartbeats come once a second
+    cause(flight)
+    flight.fly(1.1)  # the autopilot's heartbeats come once a second
     flight.autopilot.actuated_while_disarmed = 0
-    flight.fly(2.0)
-    ends(flight, text)
-
-
-def test_a_failsafe_the_end_of_the_plan_and_a_disarmed_controller_end_it() -> None:
-    flight = driving()
-    flight.autopilot.failsafe = True
-    flight.fly(3.0)
-    ends(flight, "autopilot in failsafe")
-    flight = driving()
-    flight.kill_controller()
-    flight.fly(8.0)
-    ends(flight, "no plan")
-    flight = driving()
-    flight.command(action="stop")
-    flight.fly(3.0)
-    ends(flight, "controller stopped")
+    flight.fly(6.9)
+    assert flight.autopilot.overrides == {}
+    assert flight.edge.overrides.state is State.IDLE
+    assert any(line.startswith(f"LTV-MPC: not driving: {text};") for line in flight.autopilot.log)
+    assert flight.autopilot.actuated_while_disarmed == 0
 
 
 def test_a_lost_autopilot_gets_nothing_more_and_a_process_that_stops_lets_go() -> None:
@@ -225,29 +206,15 @@ def test_while_it_has_released_nothing_is_learned_and_then_the_boat_does_not_lun
 
 def test_what_acts_is_the_command_of_the_override_and_zero_once_it_is_released() -> None:
     flight = driving()
-    plan = flight.plans[-1]
-    thrust_N, t_ns = np.array([[10.0, -5.0, 0.0]] * 2), flight.edge.clock.read(flight.host_us)
-    assert t_ns is not None
-    plan = msgspec.structs.replace(
-        plan, cycle_t_ns=t_ns, t_ns=t_ns + np.array([-1_000_000_000, 3_000_000_000]), thrust_N=thrust_N
-    )
-    flight.edge.take(plan, flight.host_us, (7, 3))
-    reports = [
-        output
-        for k in range(1, 31)
-        for output in flight.edge.step(flight.host_us + 50_000 * k)
-        if isinstance(output, Applied)
-    ]
+    edge, now_us = flight.edge, flight.host_us
+    outputs = [one for k in range(1, 31) for one in edge.step(now_us + 50_000 * k)]
+    reports = [one for one in outputs if isinstance(one, Applied)]
     assert 14 <= len(reports) <= 16  # ten in a second
-    last = reports[-1]
-    assert (last.plan_epoch, last.plan_sequence, last.plan_cycle_t_ns) == (7, 3, t_ns)
-    assert last.command_N == (10.0, -5.0, 0.0)
-    np.testing.assert_allclose(last.thrust_N, last.command_N, atol=0.1)
-    assert abs(reports[0].thrust_N[0]) < 0.8 * 10.0  # the lag
-    (released, *_) = flight.edge.release(flight.host_us + 1_510_000)
+    np.testing.assert_allclose(reports[-1].command_N, edge.plans.thrust_N(reports[-1].t_ns))
+    assert reports[-1].plan_cycle_t_ns == edge.plans.cycle_t_ns
+    (released, *_) = edge.release(now_us + 1_510_000)
     assert isinstance(released, Applied)
-    assert released.command_N == (0.0, 0.0, 0.0)
-    assert released.thrust_N[0] > 9.0
+    assert (released.command_N, released.why) == ((0.0, 0.0, 0.0), "the edge has stopped")
 
 
 def test_while_disarmed_nothing_but_the_release_is_sent() -> None:
@@ -337,6 +304,17 @@ def test_a_reset_of_the_filter_is_counted_and_nothing_is_interpolated_across_it(
     assert navigation.resets == 2
 
 
+UNKNOWN = [math.nan] * 21
+EAST = (math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))
+
+
+def odometry(frame: int = 1, child: int = 12, q: Sequence[float] = EAST, reset: int = 0, **given: list[float]) -> Any:
+    """Return an ODOMETRY that goes ahead at 1 m/s and turns by 0.2 rad/s; ``pose`` and ``twist`` are covariances."""
+    covariances = given.get("pose", UNKNOWN), given.get("twist", UNKNOWN)
+    motion = (1.0, 0.0, 0.0, 0.0, 0.0, 0.2)
+    return codec().make.odometry_encode(5_000_000, frame, child, 1.0, 2.0, 0.0, q, *motion, *covariances, reset)
+
+
 def triangle(entries: dict[tuple[int, int], float]) -> list[float]:
     """Return the 21 values of an upper triangle."""
     return [entries.get((row, column), 0.0) for row in range(6) for column in range(row, 6)]
@@ -344,58 +322,35 @@ def triangle(entries: dict[tuple[int, int], float]) -> list[float]:
 
 def test_odometry_has_its_own_attitude_and_excludes_positions() -> None:
     navigation = Navigation(Accuracy(), dives=False)
-    c = codec()
-    half = math.sqrt(0.5)
-
-    unknown = [math.nan] * 21
-
-    def message(
-        frame: int = 1,
-        child: int = 12,
-        q: tuple[float, ...] = (half, 0.0, 0.0, half),
-        reset: int = 0,
-        pose: list[float] = unknown,
-        twist: list[float] = unknown,
-    ) -> Any:
-        return c.make.odometry_encode(
-            5_000_000, frame, child, 1.0, 2.0, 0.0, q, 1.0, 0.0, 0.0, 0.0, 0.0, 0.2, pose, twist, reset
-        )
-
-    (estimate,) = navigation.odometry(message())
+    (estimate,) = navigation.odometry(odometry())
     assert estimate.heading_rad == pytest.approx(math.pi / 2)
     assert (estimate.velocity_north_mps, estimate.velocity_east_mps) == pytest.approx((0.0, 1.0), abs=1e-9)
     assert (estimate.yaw_rate_radps, estimate.t_ns) == (pytest.approx(0.2), 5_000_000_000)
+    np.testing.assert_allclose(estimate.covariance, Accuracy().covariance)
     with pytest.raises(Refused, match="odometry is in use"):
         navigation.position(position(6000))
-    list(navigation.odometry(message(reset=1)))
+    list(navigation.odometry(odometry(reset=1)))
     assert navigation.resets == 1
-    np.testing.assert_allclose(estimate.covariance, Accuracy().covariance)
-    # Heading east at 1 m/s: surge is the velocity east, and a heading too far to starboard has it go to the south.
-    pose, twist = (
-        triangle({(0, 0): 4.0, (0, 1): 1.0, (1, 1): 9.0, (5, 5): 0.04}),
-        triangle({(0, 0): 0.25, (5, 5): 0.01}),
-    )
-    (known,) = navigation.odometry(message(reset=1, pose=pose, twist=twist))
-    expected = np.zeros((6, 6))
-    expected[:2, :2] = [[4.0, 1.0], [1.0, 9.0]]
-    expected[2, 2] = expected[4, 4] = 0.04
+    for broken in ({"frame": 8}, {"child": 8}, {"q": (0.0,) * 4}, {"q": (math.nan, 0.0, 0.0, 1.0)}):
+        with pytest.raises(Refused):
+            navigation.odometry(odometry(**broken))
+    with pytest.raises(Refused, match="pose covariance"):
+        navigation.odometry(odometry(pose=[1.0, *UNKNOWN[1:]]))
+
+
+def test_the_covariances_of_odometry_are_used_as_far_as_they_are_known() -> None:
+    """Heading east at 1 m/s: surge is the velocity east, and a heading too far to starboard has it go to the south."""
+    navigation = Navigation(Accuracy(), dives=False)
+    pose = triangle({(0, 0): 4.0, (0, 1): 1.0, (1, 1): 9.0, (5, 5): 0.04})
+    (known,) = navigation.odometry(odometry(pose=pose, twist=triangle({(0, 0): 0.25, (5, 5): 0.01})))
+    expected = np.diag([4.0, 9.0, 0.04, 0.25, 0.04, 0.01])
+    expected[0, 1] = expected[1, 0] = 1.0
     expected[2, 4] = expected[4, 2] = -0.04
-    expected[3, 3], expected[5, 5] = 0.25, 0.01
     np.testing.assert_allclose(known.covariance, expected, atol=1e-6)
-    (half_known,) = navigation.odometry(message(reset=1, pose=pose))
+    (half_known,) = navigation.odometry(odometry(pose=pose))
     assert half_known.covariance is not None
     assert half_known.covariance[0, 0] == pytest.approx(4.0)
     assert half_known.covariance[3, 3] == pytest.approx(Accuracy().velocity_mps ** 2)
-    with pytest.raises(Refused, match="pose covariance"):
-        navigation.odometry(message(reset=1, pose=[1.0, *unknown[1:]]))
-    for broken in (
-        message(frame=8),
-        message(child=8),
-        message(q=(0.0, 0.0, 0.0, 0.0)),
-        message(q=(math.nan, 0.0, 0.0, 1.0)),
-    ):
-        with pytest.raises(Refused):
-            navigation.odometry(broken)
 
 
 def test_a_filter_without_a_position_gives_no_estimate() -> None:
@@ -413,55 +368,31 @@ def test_a_filter_without_a_position_gives_no_estimate() -> None:
 # --- fence ----
 
 
-def item(
-    seq: int,
-    command: int,
-    lat: float = 50.2,
-    lon: float = -5.1,
-    frame: int = 6,
-    param2: float = 0.0,
-    param1: float = 0.0,
-) -> Any:
-    x, y = round(lat * 1e7), round(lon * 1e7)
-    return codec().make.mission_item_int_encode(1, 1, seq, frame, command, 0, 1, param1, param2, 0.0, 0.0, x, y, 0.0)
-
-
-def polygon(command: int, first: int = 0, side_deg: float = 1e-3, count: float = 4.0) -> list[Any]:
-    """Return the items of a square around the origin."""
-    corners = ((-1, -1), (-1, 1), (1, 1), (1, -1))
-    return [
-        item(first + at, command, 50.2 + 0.5 * side_deg * a, -5.1 + 0.5 * side_deg * b, param1=count)
-        for at, (a, b) in enumerate(corners)
-    ]
-
-
 def test_the_items_of_a_fence_are_its_zones() -> None:
     items = [
         item(0, 5000),  # the point to return to is no zone
-        *polygon(5001, 1),
-        *polygon(5002, 5, side_deg=1e-4),
-        item(9, 5003, param1=200.0, param2=1.0),  # of another group
-        item(10, 5004, 50.2003, param1=3.0),
+        *square(5001, 1),
+        *square(5002, 5, side_m=10.0),
+        item(9, 5003, 200.0, 1.0),  # of another group
+        item(10, 5004, 3.0, north_m=33.0),
     ]
     fence = config.parse(config.loads(fence_of(items, ORIGIN)), Fence, source="fence")
-    square, circle, wreck, buoy = fence.zones()
-    assert (square.keep_in, circle.keep_in, wreck.keep_in, buoy.keep_in) == (True, True, False, False)
-    assert square.vertices_m[0] == pytest.approx((-55.6, -35.7), abs=0.1)  # 5e-4 degrees of latitude and of longitude
+    outer, circle, wreck, buoy = fence.zones()
+    assert (outer.keep_in, circle.keep_in, wreck.keep_in, buoy.keep_in) == (True, True, False, False)
+    assert outer.vertices_m[0] == pytest.approx((-50.0, -50.0), abs=0.1)
     assert np.linalg.norm(circle.vertices_m, axis=1) == pytest.approx(200.0)
-    assert (buoy.radius_m, float(buoy.vertices_m[0, 0])) == (3.0, pytest.approx(33.4, abs=0.1))
+    assert (buoy.radius_m, float(buoy.vertices_m[0, 0])) == (3.0, pytest.approx(33.0, abs=0.1))
     assert fence_of([item(0, 5000)], ORIGIN) == ""
 
 
 @pytest.mark.parametrize(
     ("items", "says"),
     [
-        (polygon(5001)[:3], "3 of 4 vertices"),
-        ([*polygon(5001)[:3], *polygon(5002, 3)], "3 of 4 vertices"),
-        ([item(0, 5004, param1=math.nan)], "item 0 radius"),
-        ([item(0, 5004, param1=-1.0)], "item 0 radius"),
-        ([item(0, 5003, param1=math.inf)], "item 0 radius"),
-        ([polygon(5001)[at] for at in (0, 2, 1, 3)], "meet"),
-        ([item(at, 5003, param1=50.0, param2=float(at)) for at in range(90)], "fence_toml"),
+        ([*square(5001)[:3], *square(5002, 3)], "3 of 4 vertices"),
+        ([item(0, 5004, math.nan)], "item 0 radius"),
+        ([item(0, 5003, -1.0)], "item 0 radius"),
+        ([square(5001)[at] for at in (0, 2, 1, 3)], "meet"),
+        ([item(at, 5003, 50.0, float(at)) for at in range(90)], "fence_toml"),
     ],
 )
 def test_a_fence_that_is_no_area_is_refused(items: list[Any], says: str) -> None:
@@ -472,7 +403,7 @@ def test_a_fence_that_is_no_area_is_refused(items: list[Any], says: str) -> None
 def test_the_fence_of_the_autopilot_is_kept_and_its_end_removes_it() -> None:
     flight = MavlinkFlight()
     flight.fly(3.0)
-    flight.autopilot.lists[1] = polygon(5001)
+    flight.autopilot.lists[1] = square(5001)
     flight.fly(12.0)
     flight.autopilot.lists[1] = []
     flight.fly(12.0)
@@ -486,7 +417,7 @@ def test_a_refused_mission_or_fence_is_a_text_for_the_ground_station() -> None:
     flight = MavlinkFlight()
     flight.fly(3.0)
     flight.autopilot.lists[0] = [item(0, 16), item(1, 16, frame=1)]
-    flight.autopilot.lists[1] = polygon(5001)[:3]
+    flight.autopilot.lists[1] = square(5001)[:3]
     flight.fly(12.0)
     expected = [
         "LTV-MPC: mission: item 1 MAV_CMD_NAV_WAYPOINT (16) frame 1 must be global",

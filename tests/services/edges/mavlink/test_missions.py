@@ -15,32 +15,20 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from ltv_mpc import config, references
 from ltv_mpc.messages import Acknowledgement, Action, Authority, Command
-from ltv_mpc.references import Origin
 from ltv_mpc.references.mission_items import DRIVEN
 from services.edges.edge import Outgoing, Received
 from services.edges.mavlink.lists import Mission, mission_of
 from services.edges.mavlink.mission import MissionFollower, Progress
 from tests.foreign_plant.mavlink_flight import MavlinkFlight
-from tests.services.edges.mavlink.test_mavlink import codec
+from tests.services.edges.mavlink.items import ORIGIN, codec, item
 from tests.services.edges.plans import plan
 
-ORIGIN = Origin(latitude_deg=50.2, longitude_deg=-5.1)
 HERE = (0.0, 0.0)
 NAV_CONDITION_DO = {
     number: entry.name
     for number, entry in dialect.enums["MAV_CMD"].items()
     if any(kind in entry.name for kind in ("_NAV_", "_CONDITION_", "_DO_"))
 }
-
-
-def item(seq: int, command: int, *parameters: float, north_m: float = 0.0, east_m: float = 0.0, **other: Any) -> Any:
-    """Return an item at a place in metres from the origin; ``z`` and ``frame`` by name, and ``x``, ``y`` for none."""
-    latitude, longitude = references.geodesy.degrees(north_m, east_m, ORIGIN)
-    fields = {"frame": 6, "z": 0.0, "x": round(latitude * 1e7), "y": round(longitude * 1e7)} | other
-    first, second, third, fourth = (*parameters, 0.0, 0.0, 0.0, 0.0)[:4]
-    return codec().make.mission_item_int_encode(
-        1, 1, seq, fields["frame"], command, 0, 1, first, second, third, fourth, fields["x"], fields["y"], fields["z"]
-    )
 
 
 HOME = item(0, 16)
@@ -52,15 +40,8 @@ def mission(*items: Any, dives: bool = False, first: int = 1) -> Mission:
     return found
 
 
-def read(found: Mission) -> references.Reference:
-    reference: references.Reference = config.parse(config.loads(found.toml), references.Reference, source="mission")
-    return reference
-
-
-def path(found: Mission) -> references.Waypoints:
-    reference = read(found)
-    assert isinstance(reference, references.Waypoints)
-    return reference
+def read(toml: str) -> Any:
+    return config.parse(config.loads(toml), references.Reference, source="mission")  # type: ignore[arg-type]
 
 
 def numbers(found: Mission) -> list[int]:
@@ -100,7 +81,7 @@ def test_each_waypoint_has_its_own_speed_and_its_wait() -> None:
         item(6, 16, east_m=28.0),
         item(7, 20),
     )
-    way = path(found)
+    way = read(found.toml)
     assert way.speed_mps == 0.3
     assert [place.speed_mps for place in way.waypoints] == [None, None, 1.2, None, None]
     assert [place.wait_s for place in way.waypoints] == [0.0, 20.0, 0.0, 0.0, 0.0]
@@ -111,7 +92,7 @@ def test_each_waypoint_has_its_own_speed_and_its_wait() -> None:
 def test_a_single_place_is_driven_at_the_speed_of_the_mission() -> None:
     """A point has no speed: the way begins where the vehicle is."""
     found = mission(item(1, 178, 1.0, 0.2), item(2, 16, north_m=30.0))
-    way = path(found)
+    way = read(found.toml)
     assert (way.speed_mps, len(way.waypoints), found.along_m) == (0.2, 2, [pytest.approx(30.0, abs=0.02)])
 
 
@@ -133,7 +114,7 @@ def test_a_dive_goes_to_the_depth_of_each_item_and_surfaces_to_land() -> None:
     assert angle[0] == pytest.approx(0.5 * math.pi, abs=1e-3)  # it comes from the east
     assert angle[-1] - angle[0] == pytest.approx(2.5 * math.pi, abs=1e-3)
     np.testing.assert_allclose(places[-2:], [(100.0, 70.0)] * 2, atol=0.02)
-    assert path(found).path().depth[-2:].tolist() == [25.0, 0.0]
+    assert read(found.toml).path().depth[-2:].tolist() == [25.0, 0.0]
 
 
 def test_a_negative_radius_is_counter_clockwise() -> None:
@@ -144,11 +125,11 @@ def test_a_negative_radius_is_counter_clockwise() -> None:
 def test_two_items_at_one_place_are_a_wait_or_a_change_of_depth_there() -> None:
     found = mission(item(1, 16, north_m=20.0), item(2, 19, 9.0, north_m=20.0), item(3, 17, x=0, y=0))
     assert numbers(found) == [1, 2, 3]
-    assert isinstance(read(found), references.Point)  # at which it stays
+    assert isinstance(read(found.toml), references.Point)  # at which it stays
     found = mission(item(1, 16, north_m=9.0), item(2, 19, 9.0, north_m=9.0), item(3, 16, east_m=9.0))
-    assert path(found).path().wait.tolist() == [9.0, 0.0]
+    assert read(found.toml).path().wait.tolist() == [9.0, 0.0]
     found = mission(item(1, 16, north_m=9.0, z=-2.0), item(2, 16, north_m=9.0, z=-7.0), dives=True)
-    assert path(found).path().depth.tolist() == [2.0, 7.0]
+    assert read(found.toml).path().depth.tolist() == [2.0, 7.0]
 
 
 def test_jumps_repeat_and_a_delay_waits() -> None:
@@ -310,7 +291,7 @@ def test_the_same_mission_sent_again_begins_again_and_clearing_it_holds() -> Non
     assert len(followed(flight)) == 2
     flight.from_station(flight.station.mission_set_current_encode(1, 1, 2))
     flight.fly(2.0)
-    way = config.parse(config.loads(followed(flight)[-1].reference_toml), references.Reference, source="leg")
+    way = read(followed(flight)[-1].reference_toml)
     assert len(followed(flight)) == 3
     assert way.waypoints[-1].longitude_deg == pytest.approx(-5.0999, abs=1e-5)
     assert way.waypoints[0].north_m == pytest.approx(flight.hull.x[0], abs=1.0)  # straight to item 2

@@ -17,7 +17,8 @@ import pytest
 from services.cli.app import run
 from services.run.run_config import Override, resolve
 from services.tools import lockstep_run
-from services.tools.campaign import campaign
+from services.tools.campaign import campaign, table
+from services.tools.campaign.file import load
 from tests.waiting import until
 
 FILE = """
@@ -73,8 +74,7 @@ def lines(folder: Path) -> list[str]:
 
 
 def test_each_row_is_the_run_that_its_settings_make(finished: Path) -> None:
-    table = pq.read_table(finished / "results.parquet")
-    rows = table.to_pylist()
+    rows = pq.read_table(finished / "results.parquet").to_pylist()
     assert [(row["point"], row["seed"]) for row in rows] == [(p, s) for p in range(4) for s in (3, 4, 5)]
     assert all(row["failed"] is None for row in rows)
     settings = ["run.perfect_state=true", "run.duration_s=0.9", "controller.horizon_s=1.2", "run.seed=4"]
@@ -96,40 +96,39 @@ def test_nothing_measured_is_in_the_results(finished: Path) -> None:
     assert len(timing) == 12
 
 
-def started(file: Path, out: Path, log: Path, *options: str) -> subprocess.Popen[bytes]:
-    """Start a campaign process, and return when it has rows."""
-    command = [sys.executable, "-P", "-m", "services.cli", "campaign", str(file), "--out", str(out), *options]
-    before = len(lines(out)) if out.exists() else 1
-    with log.open("wb") as said:
-        process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=said, stderr=said)
-    until(lambda: process.poll() is not None or ((out / "results.jsonl").exists() and len(lines(out)) > before))
-    assert (out / "results.jsonl").exists(), log.read_text()
-    return process
+def workers_of(pid: int) -> list[int]:
+    """Return the processes that run the jobs of a campaign."""
+    children = map(int, Path(f"/proc/{pid}/task/{pid}/children").read_text().split())
+    return [child for child in children if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes()]
 
 
 @pytest.mark.timeout(700)
-def test_killed_interrupted_and_gone_on_with_it_gives_the_same_bytes(
-    file: Path, finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_with_a_worker_killed_interrupted_and_gone_on_with_it_gives_the_same_bytes(
+    file: Path, finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """For real, by SIGKILL and SIGINT; 12 runs, so that some are left each time. A row may be cut off."""
-    out = tmp_path / "out"
-    first = started(file, out, tmp_path / "first.log", "--workers", "1")
-    first.send_signal(signal.SIGKILL)
-    first.wait()
-    killed = lines(out)
-    second = started(file, out, tmp_path / "second.log", "--workers", "1")
-    second.send_signal(signal.SIGINT)
-    code, said = second.wait(PATIENCE_S), (tmp_path / "second.log").read_text()
-    if code != 0:  # on a busy machine it may have been quicker than the signal
-        assert code == 130, said
-        assert "of 12 runs left: continue with the same command and --out" in said
-    assert "Traceback" not in said
+    """12 runs, so that some are left each time. A row may be cut off."""
+    out, log = tmp_path / "out", tmp_path / "log"
+    command = [sys.executable, "-P", "-m", "services.cli", "campaign", str(file), "--out", str(out), "--workers", "1"]
+    with log.open("wb") as said:
+        process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=said, stderr=said)
+    try:
+        until(lambda: (out / "results.jsonl").exists() and len(lines(out)) > 1)
+        (worker,) = workers_of(process.pid)
+        os.kill(worker, signal.SIGKILL)
+        before = len(lines(out))
+        until(lambda: len(lines(out)) > before)
+        process.send_signal(signal.SIGINT)
+        assert process.wait(PATIENCE_S) == 130, log.read_text()
+    finally:
+        process.kill()
+        process.wait()
+    assert "of 12 runs left: continue with the same command and --out" in log.read_text()
+    assert "Traceback" not in log.read_text()
     interrupted = lines(out)
-    whole_lines = [line for line in killed if line.endswith("\n")]
-    assert interrupted[: len(whole_lines)] == whole_lines
-    assert 2 <= len(whole_lines) < len(interrupted)
+    assert len(interrupted) < 13
     (out / "results.jsonl").write_text("".join([*interrupted, interrupted[-1][:40]]))
-    going_on = told(capsys, file, "--out", out, "--workers", 1)
+    monkeypatch.setattr(campaign, "run_each", run_each_here)
+    going_on = told(capsys, file, "--out", out)
     assert (going_on["runs"], going_on["done"], going_on["failed"]) == (12, 12, 0)
     assert lines(out)[: len(interrupted)] == interrupted  # not done again
     assert len(lines(out)) == 13
@@ -179,7 +178,7 @@ def test_a_value_outside_its_bounds_is_refused_before_anything_is_made(
     assert not (tmp_path / "out").exists()
 
 
-def test_a_folder_of_another_campaign_or_of_something_else_is_refused(
+def test_a_folder_of_another_campaign_is_refused(
     finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     other = tmp_path / "c.toml"
@@ -188,10 +187,6 @@ def test_a_folder_of_another_campaign_or_of_something_else_is_refused(
     assert run(["campaign", str(other), "--out", str(finished)]) == 2
     assert "holds another campaign" in capsys.readouterr().err
     assert results(finished) == before
-    (tmp_path / "notes").mkdir()
-    (tmp_path / "notes" / "x.txt").write_text("mine")
-    assert run(["campaign", str(other), "--out", str(tmp_path / "notes")]) == 2
-    assert "not empty" in capsys.readouterr().err
 
 
 # --- a cluster --------------------------------------------------------------------------------------------------------
@@ -229,9 +224,13 @@ def test_a_cluster_that_loses_a_worker_on_the_way_gives_the_same_bytes(
     file: Path, finished: Path, cluster: tuple[str, list[subprocess.Popen[bytes]]], tmp_path: Path
 ) -> None:
     address, (_, first, _) = cluster
-    out = tmp_path / "out"
-    process = started(file, out, tmp_path / "campaign.log", "--cluster", address)
-    first.send_signal(signal.SIGKILL)
-    assert process.wait(PATIENCE_S) == 0, (tmp_path / "campaign.log").read_text()
-    assert len({json.loads(line)["key"] for line in lines(out)[1:]}) == len(lines(out)) - 1 == 12
-    assert results(out) == results(finished)
+    design = load(file)
+    planned = campaign.plan(design, "test")
+    with campaign.open_campaign(tmp_path / "out", planned) as store:
+        rows = []
+        for row in campaign.run(planned, store, workers=None, cluster=address, stop=lambda: False):
+            rows.append(row)
+            first.kill()
+    assert len(lines(tmp_path / "out")) == 13
+    table.write(tmp_path / "out", design, rows, pq.read_schema(finished / "results.parquet").metadata)
+    assert results(tmp_path / "out") == results(finished)

@@ -13,8 +13,7 @@ from services.cli.app import run
 from services.reporting import static_files
 from services.tools.campaign import page
 from services.tools.campaign.campaign import open_campaign, plan
-from services.tools.campaign.design import points
-from services.tools.campaign.file import load
+from services.tools.campaign.file import load, points
 from services.tools.campaign.ranking import interval, ranked, scores
 from services.tools.campaign.trial import Row, Trial, row_of
 

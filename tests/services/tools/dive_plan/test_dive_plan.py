@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from benchmarks.batch import Job
 from benchmarks.localisation_check.probe import descend
-from benchmarks.lockstep_job import Job
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.sensor_config import SensorConfig

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from benchmarks.localisation_check.consistency import band
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.messages import Array, Estimate, Message, Truth
 from ltv_mpc.node import Grid, Inbox, ReceivedMessage
@@ -15,7 +16,6 @@ from services.tools import lockstep_run
 from services.tools.dive_plan import plan
 from services.tools.dive_plan.plan import Dive
 from sim import water
-from sim.evaluation.consistency import band
 from sim.scheduler import LockStep, Observation
 from sim.sensors.node import Sensors
 

@@ -14,11 +14,10 @@ import numpy as np
 import pytest
 
 from ltv_mpc.control.config import MotionLimits
-from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.control.ocp.problem import Problem
 from ltv_mpc.control.solvers.recorder import RecordingSolver
-from ltv_mpc.messages import Applied, Array, CycleTiming, Estimate, Message, Plan, SolveStatus
+from ltv_mpc.messages import Applied, CycleTiming, Estimate, Message, Plan, SolveStatus
 from ltv_mpc.node import Cycle, Inbox, Node
 from services.cli.app import run
 from services.recording.reader import Recording
@@ -26,6 +25,7 @@ from services.run import folder
 from services.run.run_config import Override, resolve
 from services.tools import lockstep_run
 from services.tools.profile import problems
+from services.tools.profile import run as latency
 from services.tools.profile.measure import STAGES, Candidate, Piqp, Samples, SolverByName, measure
 
 OSQP, PIQP = SolverByName("osqp"), Piqp()
@@ -34,7 +34,7 @@ OSQP, PIQP = SolverByName("osqp"), Piqp()
 def measured(episodes: list[problems.Episode], *candidates: Candidate) -> list[Samples]:
     """Without a warm-up to speak of."""
     warm_up = episodes[0]._replace(cycles=1)
-    return measure(episodes, candidates, warm_up=warm_up, order=random.Random(1), progress=lambda _: None)
+    return measure(episodes, candidates, warm_up=warm_up, order=random.Random(1), progress=lambda: None)
 
 
 class Probe:
@@ -68,7 +68,9 @@ def profiled(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], 
     out = tmp_path_factory.mktemp("profile")
     (out / "run.mcap").touch()
     options = ["--horizons", "4, 8,4", "--solvers", "osqp", "--cycles", "12"]
-    assert run(["profile", *options, "--force", "--out", str(out)]) == 0
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(latency, "WARM_UP", 2)
+        assert run(["profile", *options, "--force", "--out", str(out)]) == 0
     return json.loads((out / "profile.json").read_text()), out
 
 
@@ -84,59 +86,53 @@ def test_each_solver_has_a_row_at_each_horizon_and_piqp_is_among_them(profiled: 
         assert row["iterations"]["max"] > 0 or row["solver"] != "osqp"
 
 
-def test_the_stages_are_parts_of_the_cycle(profiled: tuple[dict[str, Any], Path]) -> None:
-    for row in profiled[0]["rows"]:
-        assert list(row["stage_us"]) == list(STAGES)
-        for spread in (row["cycle_us"], *row["stage_us"].values()):
-            assert 0 < spread["median"] <= spread["p90"] <= spread["p99"] <= spread["max"]
-        assert max(spread["max"] for spread in row["stage_us"].values()) < row["cycle_us"]["max"]
-
-
 def test_a_cycle_with_flushed_caches_takes_longer_than_a_repeated_one() -> None:
     """The shortest cycle of each: a busy machine only lengthens them."""
     found = measured(problems.simulated(6, 20, seed=3)[:1], OSQP, PIQP)
     assert sum(min(of.flushed_us) for of in found) > sum(min(of.repeated_us) for of in found)
 
 
-def test_ratios_are_to_piqp_at_the_same_horizon(profiled: tuple[dict[str, Any], Path]) -> None:
+def test_stages_are_parts_of_the_cycle_and_ratios_to_piqp_at_the_same_horizon(
+    profiled: tuple[dict[str, Any], Path],
+) -> None:
     rows = profiled[0]["rows"]
-    for yardstick, *others in (rows[:3], rows[3:]):
+    for row in rows:
+        assert list(row["stage_us"]) == list(STAGES)
+        for spread in (row["cycle_us"], *row["stage_us"].values()):
+            assert 0 < spread["median"] <= spread["p90"] <= spread["p99"] <= spread["max"]
+        assert max(spread["max"] for spread in row["stage_us"].values()) < row["cycle_us"]["max"]
+    for yardstick, relaxed, other in (rows[:3], rows[3:]):
         assert yardstick["ratio"] == yardstick["flushed_ratio"] == {"median": 1.0, "p99": 1.0}
-        for row in others:
-            for quantile in ("median", "p99"):
-                for state, ratio in (("cycle_us", "ratio"), ("repeated_us", "repeated_ratio")):
-                    assert row[ratio][quantile] == pytest.approx(row[state][quantile] / yardstick[state][quantile])
-
-
-def test_the_yardstick_with_a_tolerance_of_its_own_is_another_solver(profiled: tuple[dict[str, Any], Path]) -> None:
-    exact, relaxed, _ = profiled[0]["rows"][3:]
-    assert relaxed["iterations"]["median"] <= exact["iterations"]["median"]
-    assert relaxed["thrust_error_N"]["median"] > exact["thrust_error_N"]["median"]
+        assert relaxed["thrust_error_N"]["median"] > yardstick["thrust_error_N"]["median"]
+        for quantile in ("median", "p99"):
+            for state in ("cycle", "repeated", "flushed"):
+                ratio = other["ratio" if state == "cycle" else f"{state}_ratio"][quantile]
+                assert ratio == pytest.approx(other[f"{state}_us"][quantile] / yardstick[f"{state}_us"][quantile])
 
 
 # --- the measurement -------------------------------------------------------------------------------------------------
 
 
-def test_every_candidate_has_the_drivers_problem(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_candidate_has_the_same_problem_in_an_order_that_changes(monkeypatch: pytest.MonkeyPatch) -> None:
     """Also the one that cannot converge, whose own plans would lead it elsewhere."""
-    asked: list[tuple[object, bytes, bytes]] = []
+    asked: list[tuple[object, bytes]] = []
     build = RecordingSolver.build
 
     def noted(self: Any, problem: Problem) -> None:
-        asked.append((self, problem.f.tobytes(), problem.h.tobytes()))
+        asked.append((self, problem.f.tobytes() + problem.h.tobytes()))
         build(self, problem)
 
     monkeypatch.setattr(RecordingSolver, "build", noted)
     episode = problems.simulated(6, 20, seed=3)[0]
     assert episode.cycles == 10
-    measured([loose(episode, 1e-1)], OSQP, PIQP)
-    solvers = list(dict.fromkeys(who for who, _, _ in asked))
-    first, second = ([problem for who, *problem in asked if who is solver] for solver in solvers[-2:])
-    assert first[-10:] == second[-10:]  # the first cycle's passes are each solver's own
-
-
-def loose(episode: problems.Episode, tolerance: float) -> problems.Episode:
-    return episode._replace(config=msgspec.structs.replace(episode.config, tolerance=tolerance))
+    measured([episode._replace(config=msgspec.structs.replace(episode.config, tolerance=1e-1))], OSQP, PIQP)
+    # each candidate interleaved and at once again, each with flushed caches; the first cycle's passes are its own
+    cycles = [asked[-6 * k : len(asked) - 6 * (k - 1)] for k in range(10, 0, -1)]
+    first, second = dict.fromkeys(who for who, _ in cycles[0])
+    assert all(len({problem for _, problem in cycle}) == 1 for cycle in cycles)
+    orders = {tuple(who for who, _ in cycle[:4]) for cycle in cycles}
+    assert orders == {(first, first, second, second), (second, second, first, first)}
+    assert all({who for who, _ in cycle[4:]} == {first, second} for cycle in cycles)
 
 
 def test_a_fast_wrong_answer_shows() -> None:
@@ -153,33 +149,6 @@ def test_limits_of_the_motion_are_part_of_the_problem_for_all() -> None:
     slow = episode._replace(config=msgspec.structs.replace(episode.config, limits=limits, tolerance=1e-7))
     found = measured([slow], OSQP, PIQP, SolverByName("riccati"))
     assert max(np.median(of.thrust_error_N) for of in found) < 1e-3
-
-
-def test_all_plan_from_the_same_start_in_an_order_that_changes(monkeypatch: pytest.MonkeyPatch) -> None:
-    planned: list[str] = []
-    starts: list[Array] = []
-    plan = Controller.plan
-
-    def noted(self: Controller, *positional: Any, **named: Any) -> Plan:
-        made = plan(self, *positional, **named)
-        if made.solve.status is SolveStatus.NOT_RUN:
-            return made
-        planned.append(self.config.solver)
-        starts.append(np.array([made.t_ns[0] * 1e-9, *made.states[0]]))
-        return made
-
-    monkeypatch.setattr(Controller, "plan", noted)
-    episode = problems.simulated(2, 30, seed=0)[0]
-    named = episode._replace(config=msgspec.structs.replace(episode.config, solver="piqp"))  # the driver's
-    measured([named], OSQP, SolverByName("riccati"))
-    # each candidate interleaved and at once again, each with flushed caches, and the driver
-    cycles = [tuple(planned[i : i + 7]) for i in range(0, len(planned), 7)]
-    assert {cycle[:4] for cycle in cycles} == {("osqp",) * 2 + ("riccati",) * 2, ("riccati",) * 2 + ("osqp",) * 2}
-    assert {frozenset(cycle[4:6]) for cycle in cycles} == {frozenset(("osqp", "riccati"))}
-    assert {cycle[6] for cycle in cycles} == {"piqp"}
-    assert len(cycles) == (1 + 1) + (1 + 15)  # warm-up and episode, the first cycle of each measured by nobody
-    for i in range(0, len(starts), 7):  # the driver's own, too; what each learns in the cycle itself is rounded
-        assert np.ptp(starts[i : i + 7], axis=0).max() < 1e-6
 
 
 def test_no_garbage_is_collected_within_a_cycle() -> None:
@@ -253,14 +222,12 @@ def test_a_recorded_run_gives_the_controller_what_it_got(dive: Path) -> None:
 
 
 def test_a_recorded_run_is_measured_at_any_horizon_and_json_has_stdout_to_itself(
-    dive: Path, capsys: pytest.CaptureFixture[str]
+    dive: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    options = ["--horizons", "2,4", "--solvers", "piqp, osqp,piqp", "--cycles", "10", "--json"]
+    monkeypatch.setattr(latency, "WARM_UP", 2)
+    options = ["--horizons", "2", "--solvers", "piqp, osqp,piqp", "--cycles", "10", "--json"]
     assert run(["profile", "--run", str(dive / "run.mcap"), *options]) == 0
-    shown = capsys.readouterr()
-    printed = json.loads(shown.out)
-    assert [(row["stages"], row["cycles"]) for row in printed["rows"]] == [(2, 10)] * 4 + [(4, 10)] * 4
-    assert [row["solver"] for row in printed["rows"]][2:4] == ["piqp", "osqp"]
+    printed = json.loads(capsys.readouterr().out)
+    assert [(row["stages"], row["cycles"]) for row in printed["rows"]] == [(2, 10)] * 4
+    assert [row["solver"] for row in printed["rows"]][2:] == ["piqp", "osqp"]
     assert printed["problems"] == {"dive": 10}
-    assert "2 stages, 0.6 s    piqp              median " in shown.err
-    assert shown.err.count(" of 1 cycle\n") == shown.err.count(" of 10 cycles\n") == 8  # as soon as they are known

@@ -1,0 +1,59 @@
+"""Many runs of a benchmark on this machine's cores, with a progress bar; a lock-step run as a job of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple, TypeVar
+
+from services.reporting.terminal import progress_bar
+from services.run.run_config import Override, RunConfig, resolve
+from services.tools import lockstep_run
+from services.tools.batch.executor import run_each
+from services.tools.batch.results_store import ResultsStore
+from sim.evaluation.summary import Summary
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+
+class Job(NamedTuple):
+    """Run of a scenario (NAME or FILE) with settings, each KEY=VALUE."""
+
+    scenario: str
+    settings: tuple[str, ...]
+
+    def run_config(self) -> RunConfig:
+        """Resolve what the run is made of. Raises ``ConfigError``."""
+        return resolve(self.scenario, [Override("batch", self.settings)])
+
+    def summary(self) -> Summary:
+        """Run it here, in lock step. Raises ``ConfigError``."""
+        return lockstep_run.run(self.run_config())
+
+
+def in_order(work: Callable[[T], R], jobs: Sequence[T], *, workers: int | None = None) -> list[R]:
+    """Do all jobs, on so many processes (None: one a core); return their results in the order of the jobs."""
+    found: dict[int, R] = {}
+    with progress_bar(f"{len(jobs)} runs") as progress:
+        for place, result in run_each(work, jobs, workers=workers):
+            found[place] = result
+            progress(len(found) / len(jobs))
+    return [found[place] for place in range(len(jobs))]
+
+
+def keep_each(
+    work: Callable[[T], object],
+    jobs: Mapping[str, T],
+    store: ResultsStore,
+    *,
+    workers: int | None = None,
+    stop: Callable[[], bool] = lambda: False,
+) -> None:
+    """Do the jobs that the store does not have by their keys, and append their results as they end."""
+    missing = {key: job for key, job in jobs.items() if key not in store.keys}
+    keys, done = list(missing), len(jobs) - len(missing)
+    with progress_bar(f"{len(jobs)} runs") as progress:
+        for place, result in run_each(work, list(missing.values()), workers=workers, stop=stop):
+            store.append(keys[place], result)
+            done += 1
+            progress(done / len(jobs))

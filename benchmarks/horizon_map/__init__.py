@@ -1,1 +1,0 @@
-"""Map of the best horizon by situation, for docs/horizon.md."""

@@ -1,0 +1,230 @@
+"""Consistency of estimates with their covariance: normalised squared errors against chi-square, over many runs.
+
+NEES    e^T P^-1 e of true minus estimated, absolute errors;  NIS  r^T S^-1 r of an innovation before any gate
+Band    If the filter is consistent, the sum over the runs at an instant is chi-square with the sum of their degrees of
+        freedom. It lies between the quantiles 2.5 % and 97.5 % at 95 % of the instants in the long run. Errors that
+        hardly change, such as constant biases, are one draw per run: all instants are inside or all outside.
+Observed  Only currents that a beam has measured count: the two grid points around each of its cells.
+Water   The true current c(z) has any shape; the filter's profile is linear between grid points. Its true state is
+            c* = argmin of the integral of |sum_k c_k hat_k(z) - c(z)|^2 over the grid,   hat_k: 1 at k, 0 at others
+            M c* = f,  M_kl = integral of hat_k hat_l,  f_k = integral of hat_k c
+        c* equals c at the grid points only if c is linear between them. Beams measure all depths of a cell while the
+        vehicle passes, so the mean of many pings tends to c*, not to c at the grid points. The rest c - c* is finer
+        than a cell and not a state. Between the bends of c and the grid points every integrand is quadratic: Simpson's
+        rule is exact.
+Source  Bar-Shalom, Li & Kirubarajan 2001, Estimation with applications to tracking and navigation, section 5.4; L2
+        projection on linear splines: e.g. de Boor 2001, A practical guide to splines, chapter III.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import LinAlgError
+from scipy.linalg.lapack import dpotrf, dtrtrs
+from scipy.sparse import csr_array, diags_array
+from scipy.sparse.linalg import splu
+from scipy.special import gammaincinv
+
+from ltv_mpc.frames import rotation, rotation_log
+from ltv_mpc.localisation.filter.state import ACCELEROMETER_BIAS, ATTITUDE, GYRO_BIAS, POSITION, VELOCITY, Belief
+from ltv_mpc.localisation.sensor_config import SensorConfig
+from ltv_mpc.messages import Array
+
+Mask = npt.NDArray[np.bool_]
+
+
+class TrueState(NamedTuple):
+    """True values of the filter's states. Biases that the sensor configuration lacks are not read."""
+
+    position_m: Array  # (3,)
+    velocity_mps: Array  # (3,)
+    rotation: Array  # (3, 3)
+    gyro_bias_radps: Array  # (3,)
+    accelerometer_bias_mps2: Array  # (3,)
+    beam_bias_mps: Array  # (4,)
+    near_bias_mps: Array  # (4,)
+    mounting: Array  # (3, 3)
+    compass_bias_rad: float
+    water_mps: Array  # (G, 2) projection onto the filter's grid (``GridProjection``)
+
+
+class Consistency(NamedTuple):
+    """Consistency of one quantity over R runs at T instants."""
+
+    total: Array  # (T,) sum of normalised squares over the runs
+    dof: npt.NDArray[np.int64]  # (T,) their degrees of freedom
+    low: Array  # (T,) lower limit of the band
+    high: Array  # (T,) upper limit
+
+    @property
+    def in_band(self) -> float:
+        """Share of the instants inside the band."""
+        return float(np.mean((self.low <= self.total) & (self.total <= self.high)))
+
+    @property
+    def per_dof(self) -> float:
+        """Mean square per degree of freedom: 1 if consistent, more if overconfident."""
+        return float(self.total.sum() / self.dof.sum())
+
+
+def squared(error: Array, covariance: Array) -> float:
+    """Return e^T P^-1 e. Raises ``LinAlgError`` if P is not positive definite."""
+    # P = D C D with correlations C: water (m/s) and gyro biases (rad/s) differ by 1e4 in size
+    variance = np.diagonal(covariance)
+    d = np.sqrt(np.where(variance > 0, variance, 1.0))
+    L, info = dpotrf(covariance / np.outer(d, d), lower=1)
+    if info != 0:
+        raise LinAlgError("covariance is not positive definite")
+    y, _ = dtrtrs(L, error / d, lower=1)
+    return float(y @ y)
+
+
+def band(dof: npt.ArrayLike, probability: float = 0.95) -> tuple[Array, Array]:
+    """Return the chi-square quantiles that enclose ``probability``, with equal tails."""
+    k = 0.5 * np.asarray(dof, dtype=np.float64)
+    tail = 0.5 * (1.0 - probability)
+    return np.asarray(2.0 * gammaincinv(k, tail)), np.asarray(2.0 * gammaincinv(k, 1.0 - tail))
+
+
+def consistency(squares: npt.ArrayLike, dof: npt.ArrayLike, probability: float = 0.95) -> Consistency:
+    """Combine normalised squares (R, T) with degrees of freedom (R, T), 0 if a run has no value at an instant.
+
+    Instants without any value are left out. Raises ``ValueError`` if none remains.
+    """
+    total, degrees = np.sum(squares, axis=0), np.sum(dof, axis=0)
+    some = degrees > 0
+    if not some.any():
+        raise ValueError("no sample has a degree of freedom")
+    low, high = band(degrees[some], probability)
+    return Consistency(total[some], degrees[some], low, high)
+
+
+def errors(truth: TrueState, belief: Belief) -> Array:
+    """Return the errors, true minus estimated, in the filter's order and conventions, (n,).
+
+    States that ``TrueState`` does not contain have error 0.
+    """
+    layout, x = belief.layout, belief.x
+    e = np.zeros(layout.size)
+    water = truth.water_mps[_window(belief)]
+    e[POSITION] = truth.position_m - x[POSITION]
+    e[VELOCITY] = truth.velocity_mps - x[VELOCITY]
+    e[ATTITUDE] = rotation_log(np.ascontiguousarray(truth.rotation @ belief.R.T))  # R_true = exp(phi^) R
+    e[GYRO_BIAS] = truth.gyro_bias_radps - x[GYRO_BIAS]
+    e[ACCELEROMETER_BIAS] = truth.accelerometer_bias_mps2 - x[ACCELEROMETER_BIAS]
+    for states, value in (
+        (layout.beam_bias, truth.beam_bias_mps),
+        (layout.near_bias, truth.near_bias_mps),
+        (layout.compass_bias, np.array([truth.compass_bias_rad])),
+        (layout.north, water[:, 0]),
+        (layout.east, water[:, 1]),
+    ):
+        if states.stop > states.start:
+            e[states] = value - x[states]
+    if layout.mounting.stop > layout.mounting.start:
+        e[layout.mounting] = rotation_log(np.ascontiguousarray(truth.mounting @ belief.mounting.T))
+    return e
+
+
+def quantities(belief: Belief, seen: Mask) -> dict[str, npt.NDArray[np.int64]]:
+    """Return the state indices of each quantity that exists; of the current only ``seen`` (G,) grid points."""
+    layout = belief.layout
+
+    def of(*slices: slice) -> npt.NDArray[np.int64]:
+        return np.concatenate([np.arange(a.start, a.stop) for a in slices])
+
+    cells = np.flatnonzero(seen[_window(belief)])
+    states = {
+        "position": of(POSITION),
+        "velocity": of(VELOCITY),
+        "heading": of(ATTITUDE)[2:],
+        "tilt": of(ATTITUDE)[:2],
+        "gyro_bias": of(GYRO_BIAS),
+        "accelerometer_bias": of(ACCELEROMETER_BIAS),
+        "adcp_bias": of(layout.beam_bias, layout.near_bias),
+        "compass_bias": of(layout.compass_bias),
+        "mounting": of(layout.mounting),
+        "cells": np.concatenate([layout.north.start + cells, layout.east.start + cells]),
+    }
+    return {name: i for name, i in states.items() if len(i)}
+
+
+def nees(belief: Belief, truth: TrueState, seen: Mask) -> dict[str, tuple[float, int]]:
+    """Return normalised square and degrees of freedom of each quantity. States of variance 0 are left out."""
+    e, P = errors(truth, belief), belief.P
+    result = {}
+    for name, states in quantities(belief, seen).items():
+        i = states[np.diagonal(P)[states] > 0]
+        if len(i):
+            result[name] = squared(e[i], P[np.ix_(i, i)]), len(i)
+    return result
+
+
+def drawn(truth: TrueState, sensor_config: SensorConfig) -> dict[str, tuple[float, int]]:
+    """Return normalised squares of the true biases by the sensor configuration, with their degrees of freedom.
+
+    Over few runs they show how far from 1 a NEES may be because of the seeds alone: a bias that is hardly observed
+    keeps its draw.
+    """
+    imu, adcp = sensor_config.imu, sensor_config.adcp
+    mounting_error = rotation_log(np.ascontiguousarray(truth.mounting @ rotation(*adcp.mounting_rad).T))
+    biases = {
+        "gyro_bias": [(truth.gyro_bias_radps, imu.gyro_bias_sd_radps)],
+        "accelerometer_bias": [(truth.accelerometer_bias_mps2, imu.accelerometer_bias_sd_mps2)],
+        "adcp_bias": [(truth.beam_bias_mps, adcp.beam_bias_sd_mps), (truth.near_bias_mps, adcp.near_bias_sd_mps)],
+        "compass_bias": [(np.array([truth.compass_bias_rad]), sensor_config.compass.bias_sd_rad)],
+        "mounting": [(mounting_error, adcp.mounting_known_to_rad)],
+    }
+    result = {}
+    for name, parts in biases.items():
+        scaled = [value / sd for value, sd in parts if sd > 0]
+        if scaled:
+            every = np.concatenate(scaled)
+            result[name] = float(every @ every), len(every)
+    return result
+
+
+def _window(belief: Belief) -> slice:
+    """Return the slice of the grid that is in the state."""
+    cells = belief.layout.north.stop - belief.layout.north.start
+    return slice(belief.column.first, belief.column.first + cells)
+
+
+def nodes_around(depths_m: Array, cell_m: float, nodes: int) -> Mask:
+    """Return a mask (nodes,) of the grid points 0, h, 2h, ... next to the depths ``depths_m``."""
+    k = np.floor(np.ravel(depths_m) / cell_m).astype(int)
+    k = k[(k >= 0) & (k <= nodes - 2)]
+    seen = np.zeros(nodes, dtype=bool)
+    seen[k] = seen[k + 1] = True
+    return seen
+
+
+class GridProjection:
+    """Projection of the current in one water column onto one depth grid.
+
+    Parameters
+    ----------
+    node_m : (G,) depths of the grid points, increasing (m).
+    bend_m : depths between which the current is linear, increasing (m).
+    """
+
+    def __init__(self, node_m: Array, bend_m: Array) -> None:
+        ends = np.union1d(node_m, bend_m[(bend_m > node_m[0]) & (bend_m < node_m[-1])])
+        h = np.diff(ends)
+        self.depth_m = np.concatenate([ends[:-1], ends[:-1] + 0.5 * h, ends[1:]])  # sampling depths, (D,)
+        share = np.concatenate([h, 4.0 * h, h]) / (6.0 * (ends[-1] - ends[0]))
+        k = np.clip(np.searchsorted(node_m, self.depth_m, side="right") - 1, 0, len(node_m) - 2)
+        t = (self.depth_m - node_m[k]) / (node_m[k + 1] - node_m[k])
+        rows = np.arange(len(k))
+        hats = np.concatenate([1.0 - t, t]), (np.concatenate([rows, rows]), np.concatenate([k, k + 1]))
+        hats_at = csr_array(hats, shape=(len(k), len(node_m)))
+        self._weighted = hats_at.T @ diags_array(share)
+        self._solve = splu((self._weighted @ hats_at).tocsc()).solve
+
+    def fit(self, water_mps: Array) -> Array:
+        """Return c*, (G, 2), for the current at ``depth_m``, (D, 2) (m/s)."""
+        fitted: Array = self._solve(self._weighted @ water_mps)
+        return fitted
