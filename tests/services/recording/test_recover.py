@@ -138,16 +138,6 @@ def test_recovery_keeps_the_run_s_metadata_and_each_frame_s_checksum(tmp_path: P
     assert sequences(Path(made.file)) == sequences(tmp_path / "again.mcap")
 
 
-def test_nothing_is_written_over(whole: Path, tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
-    path.write_bytes(whole.read_bytes()[:-100])
-    out = recovered_path(path)
-    out.write_text("mine")
-    with pytest.raises(ConfigError, match=r"run\.recovered\.mcap.*exists: name another with --out"):
-        recovered(path)
-    assert out.read_text() == "mine"
-
-
 def test_where_nothing_can_be_saved_nothing_is_left_behind(whole: Path, tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     for content, problem in (
