@@ -175,6 +175,7 @@ BOMB = zstandard.ZstdCompressor().compress(bytes(MAX_CHUNK_BYTES + 1))
         (record(5, b"", claimed=2**62), "cut in a record of 4611686018427387904 bytes"),
         (chunk(b"", size=2**50), "at most"),
         (chunk(b"", size=100, compressed=BOMB), "too many bytes"),
+        (chunk(bytes(MAX_CHUNK_BYTES)), "more than 200 times as many"),  # it would be read for seconds
         (chunk(b"", size=100, compressed=b"rubbish"), "chunk"),
         (chunk(record(5, b"", claimed=2**62)), "chunk: EndOfFile"),
         (record(5, b"x"), "message"),
