@@ -325,11 +325,12 @@ def test_a_killed_or_hung_process_continues_where_it_was_and_a_killed_sensors_pr
     def harmful(name: str, number: signal.Signals) -> Callable[[], None]:
         return lambda: os.kill(pid_of(name, os.getpid()), number)
 
-    def settled(done: int) -> bool:
+    def is_settled(done: int) -> bool:
         failures = crewed.failures
-        return failures.settled and failures.restarts == max(0, done - 1) and crewed.children.forks.is_loaded()
+        settled = not failures.recovering and not failures.pending and crewed.children.forks.is_loaded()
+        return settled and failures.restarts == max(0, done - 1)
 
-    screen = Screen(*(harmful(*each) for each in harm), settled=settled)
+    screen = Screen(*(harmful(*each) for each in harm), settled=is_settled)
     crewed = supervisor.Supervisor(s, run, screen)
     outcome = crewed.run()
     assert outcome.why == "sensors was ended by SIGKILL", (outcome, screen.said)
