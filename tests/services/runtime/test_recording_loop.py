@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import msgpack
-import msgspec
 import pytest
 
 from ltv_mpc.messages import (
@@ -35,7 +34,7 @@ from services.recording.segments import SegmentWriter
 from services.recording.writer import RunWriter
 from services.runtime import recording_loop
 from services.runtime.clock import monotonic_us
-from services.runtime.publication_time import FOLLOWS_HOST, FOLLOWS_VEHICLE
+from services.runtime.publication_time import FOLLOWS_HOST
 from services.runtime.recording_loop import BEGAN_BEFORE, RecordingLoop
 from services.runtime.stopping import StopRequest
 from services.runtime.supervisor_link import SupervisorLink
@@ -172,34 +171,6 @@ def test_messages_lost_by_a_full_disk_are_counted_and_reported(
     assert events[2].startswith("lost: ")
     status = [message.plain for message in after if message.key == "status/recorder"]
     assert status[-1]["dropped"] == refused
-
-
-BEGAN_NS = 1_790_000_000 * S
-"""Time of a vehicle's clock that counts from 1970, at monotonic time 0."""
-
-
-def estimate() -> Estimate:
-    stamped = Estimate.at_rest(depth_m=None, heading_rad=0.0)
-    return msgspec.structs.replace(stamped, t_ns=BEGAN_NS + monotonic_us() * 1000)
-
-
-def test_beside_a_vehicle_messages_wait_for_its_clock_and_then_have_its_times(tmp_path: Path, free_port: int) -> None:
-    sent_us: list[int] = []
-
-    def say(out: Outbox, put: Callable[[bytes], None]) -> None:
-        for sequence in range(3):  # long before the first stamp
-            sent_us.append(monotonic_us())
-            put(depth(sequence, sent_us[-1]))
-        for _ in range(8):
-            out.publish(estimate())
-            time.sleep(0.1)
-
-    said: list[str] = []
-    messages = record(tmp_path / "run.mcap", free_port, say, start_ns=None, said=said.append)
-    times = [message.t_ns for message in messages if message.key == KEY]
-    assert times == pytest.approx([BEGAN_NS + sent * 1000 for sent in sent_us], abs=S // 10)
-    assert all(abs(message.t_ns - times[0]) < 60 * S for message in messages)
-    assert FOLLOWS_VEHICLE in said
 
 
 def test_beside_a_vehicle_that_says_nothing_messages_have_the_time_of_this_host(tmp_path: Path, free_port: int) -> None:
