@@ -34,7 +34,7 @@ from benchmarks.faults.kinds import NAMES, Place
 from ltv_mpc.errors import ConfigError
 from services.bus.options import BusOptions
 from services.bus.roles import ROLES
-from services.cli.bus import check_endpoint, check_namespace
+from services.cli.options import check_endpoint, check_namespace
 from services.runtime.console import counted
 from services.tools.batch.results_store import open_store
 

@@ -74,7 +74,7 @@ def draw(axes: Axes, plot: Plot, runs: Sequence[Run], *, title: str | None = Non
     if not drawn.x:
         axes.text(0.5, 0.5, plot.empty, transform=axes.transAxes, ha="center", va="center", color=palette.REFERENCE)
         return
-    _limit(axes, "x", plot.x, np.concatenate(drawn.x), TIME_MARGIN if plot.over_time else MARGIN)
+    _limit(axes, "x", plot.x, np.concatenate(drawn.x), TIME_MARGIN if plot.x.time else MARGIN)
     _limit(axes, "y", plot.y, np.concatenate(drawn.y), MARGIN)
     if plot.y.rows:
         axes.set_yticks(range(len(plot.y.rows)), plot.y.rows)
@@ -108,7 +108,7 @@ def _of_one(axes: Axes, plot: Plot, run: Run) -> _Drawn:
             drawn.legend.append(handle)
     if drawn.x:
         _levels(axes, plot, run, drawn)
-    if plot.over_time:
+    if plot.x.time:
         for mark in run.marks:
             axes.axvline(mark.t_s, color=palette.MARK, alpha=0.3, linewidth=0.7)
     return drawn

@@ -21,7 +21,6 @@ def structure(measured: Sequence[str]) -> Plot:
         title="Structure function",
         x=Axis(label="difference in depth (m)", log=True),
         y=Axis(label="mean square difference (m²/s²)", log=True),
-        over_time=False,
         note="Mean of north and east. The band holds 90 % of the synthetic profiles.",
         series=(
             Series(

@@ -11,8 +11,7 @@ from benchmarks.paper.settings import COMPUTING_S, LONG_S
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.vehicle.parameters import Vehicle
-from services.reporting.plots.delays import CYCLE, PARTS, percentile_rows
-from services.reporting.plots.percentiles import Percentiles
+from services.reporting.plots.delays import CYCLE, PARTS, Percentiles, percentile_rows
 from services.tools.profile import problems
 from services.tools.profile.machine_description import Machine, load, machine
 from services.tools.profile.measure import Samples, SolverByName, measure

@@ -1,91 +1,154 @@
-"""Bus options -e, -l, -m, -c, --namespace and --certs: one block, which ``with_bus`` adds to a command."""
+"""Panel "Your vehicle", on the bus: ``ctl`` commands a controller, ``topics`` lists messages, ``certs`` makes keys."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
+import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias
 
-from services.cli.options import invalid, option, parameters, with_options
+import typer
 
-if TYPE_CHECKING:
-    from services.bus.options import BusOptions
+from services.cli.options import BusOptions, Force, Json, argument, flag, group, invalid, needs, option, with_bus
 
-bus_option = partial(option, rich_help_panel="Bus options (those of Zenoh)")
-
-Certs: TypeAlias = Annotated[
-    Path | None,
-    bus_option("DIR", "Use mTLS with the certificates in this folder; `ltv-mpc certs new DIR` creates them."),
+ActionName: TypeAlias = Literal[
+    "arm", "disarm", "stop", "manual", "release", "follow", "hold", "fence", "clear", "source", "heartbeat"
 ]
+"""Actions of commands to the controller, and the heartbeat of an operator."""
+
+HEARTBEAT = "heartbeat"
+
+NO_FENCE = "none"
+
+NEEDED = {"follow": "a reference, NAME or FILE,", "fence": f"a fence, FILE or `{NO_FENCE}`,"}
+"""What an action needs."""
 
 
-def _block(
-    connect: Annotated[
-        list[str] | None,
-        bus_option(
-            "ENDPOINT",
-            "Connect to this endpoint; repeatable. Default tcp/127.0.0.1:7447, with --certs tls/127.0.0.1:7447.",
-            *("--connect", "-e"),
-        ),
+@with_bus("operator")
+def ctl(
+    action: Annotated[ActionName, argument("ACTION", "What it does; docs/operate.md.")],
+    file: Annotated[
+        str | None,
+        argument("NAME|FILE", "follow: a reference; fence: a FILE, or `none`; source: its NAME, or nothing."),
     ] = None,
-    listen: Annotated[
-        list[str] | None, bus_option("ENDPOINT", "Listen on this endpoint as the router; repeatable.", "--listen", "-l")
-    ] = None,
-    mode: Annotated[str | None, bus_option("MODE", "client, peer or router.", "--mode", "-m")] = None,
-    config: Annotated[
-        Path | None,
-        bus_option("FILE", "Zenoh configuration file (JSON5). Default: $ZENOH_CONFIG, if it is set.", "--config", "-c"),
-    ] = None,
-    namespace: Annotated[str, bus_option("NAME", "Prefix of every key: one for each vehicle.")] = "",
-    certs: Certs = None,
-) -> None:
-    """Declare the bus options."""
+    force: Annotated[bool, flag("--force", "Arm although pre-arm checks fail; prints what it skips.")] = False,
+    *,
+    bus: BusOptions,
+) -> int:
+    """Send a command to a running controller.
 
-
-def _collect(
-    connect: list[str] | None, listen: list[str] | None, certs: Path | None, *, role: str, **more: Any
-) -> BusOptions:
-    """Check the bus options and return them as one. ``role`` selects the certificate. Raises ``ConfigError``."""
-    from msgspec import structs
-
-    from ltv_mpc.config import parse, read_text
-    from services.bus.options import BusOptions
-    from services.bus.session import configuration
-
-    for name, endpoints in (("--connect", connect), ("--listen", listen)):
-        for endpoint in endpoints or ():
-            check_endpoint(name, endpoint, certs)
-    if (config := more.pop("config")) is not None:
-        read_text(config, what="Zenoh configuration")
-    check_namespace(more["namespace"])
-    parsed = parse({"connect": connect or (), "listen": listen or (), **more}, BusOptions, source="option --mode")
-    options = structs.replace(parsed, config=config, certs=certs, role=role)
-    configuration(options)  # Zenoh checks the options before any file is written or process started
-    return options
-
-
-def with_bus(role: str = "") -> Callable[[Callable[..., int]], Callable[..., int]]:
-    """Add the bus options to a command, which receives them as its parameter ``bus``.
-
-    ``role`` selects the certificate that the command uses with --certs.
+    Waits for the reply, at most 3 s. Exit code 1 and the reason if the controller rejects the command. `heartbeat`
+    has no reply: it is sent once a second until Ctrl-C, as a sign that an operator is present.
     """
-    block, collect = parameters(_block), partial(_collect, role=role)
-    return lambda function: with_options(function, block, "bus", collect)
+    from ltv_mpc import references
+    from ltv_mpc.config import to_toml
+    from ltv_mpc.geofence.fence import Fence
+    from ltv_mpc.messages import Action
+    from ltv_mpc.node import DEFAULT_SOURCE
+
+    if force and action != "arm":
+        raise invalid("option --force", "only arm takes it", value=action)
+    if action in NEEDED and file is None:
+        raise invalid("argument ACTION", f"needs {NEEDED[action]} after it", value=action)
+    if action not in (*NEEDED, "source") and file is not None:
+        problem = "takes no file or name: only follow, fence and source do"
+        raise invalid("argument ACTION", problem, value=action)
+    from services.processes import operator as node
+
+    if action == HEARTBEAT:
+        return node.heartbeat(bus)
+    fields: dict[str, Any] = {"force": force}
+    if action == "follow":
+        fields["reference_toml"] = to_toml(references.load(file or ""))
+    elif action == "fence":
+        fields["fence_toml"] = "" if file == NO_FENCE else to_toml(Fence.load(file or ""))
+    elif file is not None:
+        from services.bus.topics import is_source_name
+
+        if file != DEFAULT_SOURCE and not is_source_name(file):
+            raise invalid("argument NAME", "must be 1 to 32 of a-z, 0-9, _ and -", value=file)
+        fields["source"] = file
+    return node.main(Action(action), fields, bus)
 
 
-def check_endpoint(option: str, endpoint: str, certs: Path | None) -> None:
-    """Raise ``ConfigError`` if Zenoh cannot use the endpoint, or if it is not secure although certificates are used."""
-    from services.bus.options import SECURE, endpoint_error
+def topics(
+    topic: Annotated[str | None, argument("TOPIC", "Key of one topic: list its fields and types.")] = None,
+    as_json: Json = False,
+    schema: Annotated[bool, flag("--schema", "Print the JSON Schema of the topic, or of all by key.")] = False,
+    write: Annotated[Path | None, option("DIR", "Write protocol.md and schemas/ into this folder.")] = None,
+) -> int:
+    """List the topics of the bus, or the fields of one topic.
 
-    if problem := endpoint_error(endpoint):
-        raise invalid(f"option {option}", problem, value=endpoint)
-    if certs is not None and not endpoint.startswith(f"{SECURE}/"):
-        raise invalid(f"option {option}", f"must be {SECURE}/HOST:PORT with --certs", value=endpoint)
+    The list has key, message type, period, delivery, the only writer, and the readers.
+    """
+    if write is not None and (topic is not None or schema or as_json):
+        raise invalid("option --write", "cannot act together with TOPIC, --schema or --json: it writes every topic")
+    if schema and as_json:
+        raise invalid("option --schema", "is JSON already: cannot act together with --json")
+    if write is not None:
+        return _write(write)
+    from services.reporting import topics as view
+
+    typer.echo(view.schemas(topic) if schema else view.text(topic, as_json=as_json), nl=False)
+    return 0
 
 
-def check_namespace(namespace: str, option: str = "--namespace") -> None:
-    """Raise ``ConfigError`` if the namespace cannot be the prefix of a key."""
-    if (namespace and not all(namespace.split("/"))) or set(namespace) & set("*$#? "):
-        problem = "must be names joined by /, without * $ # ? or spaces"
-        raise invalid(f"option {option}", problem, value=namespace)
+def _write(folder: Path) -> int:
+    from services.bus import protocol
+
+    for name, text in protocol.files().items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+    typer.echo(str(folder / protocol.PAGE))
+    return 0
+
+
+SOURCE_NAME = "must be 1 to 32 of a-z, 0-9, _ and -, begin with a letter or digit, and not be `default`"
+
+certs = group("certs", "Create keys and certificates for mTLS.")
+
+
+@certs.command()
+def new(
+    folder: Annotated[Path, argument("DIR", "Folder to create.")],
+    host: Annotated[
+        list[str] | None, option("NAME", "Name or address of a router, in addition to loopback; repeatable.")
+    ] = None,
+    source: Annotated[
+        list[str] | None, option("NAME", "Source of estimates on estimate/NAME, role estimator-NAME; repeatable.")
+    ] = None,
+    ros_domain: Annotated[
+        list[int] | None, option("D", "ROS 2 domain, role ros-D; repeatable.", min=0, max=232)
+    ] = None,
+    days: Annotated[int, option("N", "Validity in days.", min=1, max=36500)] = 365,
+    force: Force = False,
+) -> int:
+    """Create a certificate authority, and a key and certificate for every role.
+
+    Copy to each host only ca.pem and the two files of each role that runs there, and to the router's host the .pem, not
+    the .key, of each named source and each ROS 2 domain: it learns from them which there are.
+    """
+    from services.bus.roles import ROLES, ROS_PREFIX, SOURCE_PREFIX
+    from services.bus.topics import is_source_name
+
+    for name in host or ():
+        if not re.fullmatch(r"[A-Za-z0-9.:-]{1,253}", name):
+            raise invalid("option --host", "must be a host's name or address", value=name)
+    for name in source or ():
+        if not is_source_name(name):
+            raise invalid("option --source", SOURCE_NAME, value=name)
+    if folder.exists() and not folder.is_dir():
+        raise invalid(f"folder {folder}", "is a file")
+    if folder.is_dir() and any(folder.iterdir()) and not force:
+        raise invalid(f"folder {folder}", "is not empty; --force replaces the certificates in it")
+    with needs("cryptography", "secure", "certs new"):
+        from services.bus import certificates
+    named = (
+        *(SOURCE_PREFIX + name for name in source or ()),
+        *(f"{ROS_PREFIX}{domain}" for domain in ros_domain or ()),
+    )
+    roles = list(dict.fromkeys((*ROLES, *named)))
+    certificates.make(folder, roles, hosts=host or (), days=days)
+    typer.echo(f"certificates of {len(roles)} roles, valid for {days} days: {', '.join(roles)}", err=True)
+    typer.echo(str(folder))
+    return 0

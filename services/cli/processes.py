@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
-from services.cli.bus import with_bus
 from services.cli.options import (
+    BusOptions,
     Force,
     LogJson,
     Out,
@@ -17,10 +17,8 @@ from services.cli.options import (
     flag,
     invalid,
     option,
+    with_bus,
 )
-
-if TYPE_CHECKING:
-    from services.bus.options import BusOptions
 
 
 @with_bus("router")
@@ -77,7 +75,6 @@ def estimator(
 
     Reads sensor/*; writes estimate.
     """
-    from ltv_mpc.errors import ConfigError
     from ltv_mpc.localisation.config import EstimatorConfig
     from ltv_mpc.vehicle.parameters import Vehicle
     from services.processes import estimator as process
@@ -85,16 +82,11 @@ def estimator(
 
     loaded = Vehicle.load(vehicle)
     if loaded != loaded.at_origin():
-        raise ConfigError(
-            f"vehicle {vehicle}",
-            "[reference_point]",
-            "must be 0 or left out: this estimator publishes the vehicle's origin; leave it out for the controller too",
-        )
-    table = (
-        EstimatorConfig()
-        if settings is None
-        else resolve_prior_path(settings.parent, EstimatorConfig.load(str(settings)))
-    )
+        problem = "must be 0 or left out: this estimator publishes the vehicle's origin; the controller's likewise"
+        raise invalid(f"vehicle {vehicle}: [reference_point]", problem)
+    table = EstimatorConfig()
+    if settings is not None:
+        table = resolve_prior_path(settings.parent, EstimatorConfig.load(str(settings)))
     return process.main(process.Config(bus=bus, sensors=sensors, settings=table, log_json=log_json))
 
 

@@ -1,8 +1,9 @@
-"""Command ``sim``: run a scenario."""
+"""Panel "Start here": ``sim``, ``dashboard``, ``watch``, ``doctor`` and ``completion``."""
 
 from __future__ import annotations
 
 import inspect
+import ipaddress
 import os
 import shlex
 import shutil
@@ -13,14 +14,30 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from services.cli.bus import Certs
-from services.cli.options import Force, Json, Out, ScenarioName, flag, invalid, option, show, with_options
+from services.cli.options import (
+    BusOptions,
+    Certs,
+    Force,
+    Json,
+    Out,
+    ScenarioName,
+    ShownVehicle,
+    flag,
+    invalid,
+    option,
+    plots_or_a_line,
+    show,
+    with_bus,
+    with_options,
+)
+from services.runtime.console import fold
 
 if TYPE_CHECKING:
     from services.run.folder import RunFolder
     from services.run.run_config import Override, RunConfig
     from services.runtime.stopping import StopRequest
     from sim.evaluation.summary import Summary
+
 
 NO_JIT = "NUMBA_DISABLE_JIT"
 
@@ -238,11 +255,11 @@ def _run_processes(
 ) -> int:
     from services.dashboard.config import About
     from services.dashboard.sidecar import Sidecar
-    from services.reporting.terminal import screen_for
+    from services.reporting.terminal import RunScreen
     from services.supervisor import supervisor
 
     limits = [(thruster.min_N, thruster.max_N) for thruster in run_config.vehicle.thrusters]
-    screen = screen_for(run_config.scenario.title, limits)
+    screen = RunScreen(run_config.scenario.title, limits)
     about = About(
         name=f"{run_config.scenario.title} · vehicle {run_config.vehicle.name}",
         report=str(folder.report),
@@ -272,7 +289,7 @@ def _print_summary(summary: Summary, folder: RunFolder, as_json: bool) -> None:
     """Write the report, then print summary.json or a few lines with the folder of the run on stdout."""
     import msgspec
 
-    from services.cli.report import after_run
+    from services.cli.runs import after_run
     from services.reporting.run_summary_text import verdict
 
     plain = msgspec.to_builtins(summary)
@@ -302,3 +319,85 @@ def _again(path: Path, folder: RunFolder) -> str:
 
 def _program() -> str:
     return "ltv-mpc" if shutil.which("ltv-mpc") else ".venv/bin/ltv-mpc"
+
+
+@with_bus("operator")
+def dashboard(
+    port: Annotated[int, option("P", "TCP port of the page; 0 takes any free one.", min=0, max=65535)] = 0,
+    host: Annotated[
+        str, option("ADDRESS", "Address of this machine; any but loopback opens the page to others.")
+    ] = "127.0.0.1",
+    open_: Annotated[bool, flag("--open", "Open the page in a browser.")] = False,
+    vehicle: ShownVehicle = None,
+    *,
+    bus: BusOptions,
+) -> int:
+    """Watch any run, or your own vehicle, in a browser.
+
+    Prints the address of the page with the token for its buttons; without the token the page is read-only.
+    """
+    try:
+        address = ipaddress.ip_address(host)
+    except ValueError:
+        raise invalid("option --host", "must be an IP address such as 127.0.0.1", value=host) from None
+    if address.is_unspecified:
+        raise invalid(
+            "option --host", "must be one address, not all of them: the page checks it in each request", value=host
+        )
+    try:
+        from services.dashboard import serve
+        from services.dashboard.config import Config
+    except ModuleNotFoundError as missing:
+        typer.echo(f"dashboard: {missing.name} is not installed: pip install {missing.name} (extra viz)", err=True)
+        return 1
+    with plots_or_a_line("dashboard", wanted=True):
+        return serve.main(Config(bus=bus, host=host, port=port, vehicle=vehicle, open_browser=open_))
+
+
+@with_bus("display")
+def watch(vehicle: ShownVehicle = None, *, bus: BusOptions) -> int:
+    """Watch any run, or your own vehicle, in the terminal.
+
+    Fits 80 x 24 characters, so that it works over ssh. It only reads. In a pipe it prints a line every 5 s.
+    """
+    from services.tools import watch as screen
+
+    return screen.main(bus, vehicle)
+
+
+INDENT = 25
+"""Columns before what was found: severity and check."""
+
+
+def doctor(as_json: Json = False) -> int:
+    """Check this machine and print a remedy for each problem.
+
+    Exit code 1 if there is a problem; a warning is not a problem.
+    """
+    import json  # not msgspec, which may be the package that is missing
+    from dataclasses import asdict
+
+    from services.tools.doctor import Level, examine
+
+    found = examine()
+    if as_json:
+        counts = {level.value: sum(finding.level is level for finding in found) for level in Level}
+        typer.echo(json.dumps({"findings": [asdict(finding) for finding in found], "counts": counts}))
+    else:
+        for finding in found:
+            typer.echo(fold(f"{finding.level:<8} {finding.check:<15} {finding.found}", indent=INDENT))
+            if finding.remedy:
+                typer.echo(fold(f"{'':<{INDENT}}-> {finding.remedy}", indent=INDENT + 3))
+        typer.echo("\n`ltv-mpc completion --install` adds completion of commands and options.")
+    return int(any(finding.level is Level.PROBLEM for finding in found))
+
+
+def completion(
+    context: typer.Context, install: Annotated[bool, flag("--install", "Add it to the shell's start-up file.")] = False
+) -> None:
+    """Print or install the completion script of your shell.
+
+    The shell is the one that runs the command: bash, zsh, fish or PowerShell.
+    """
+    option = "--install-completion" if install else "--show-completion"
+    context.find_root().command.main([option], prog_name="ltv-mpc")

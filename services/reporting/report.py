@@ -17,16 +17,17 @@ import msgspec
 from services.recording.info import utc
 from services.recording.node_settings import SCENARIO, table_of, vehicle_name
 from services.recording.writer import VEHICLE_MODE
-from services.reporting import differences, safety_part, static_files
+from services.reporting import differences, static_files
 from services.reporting.assessment import assessment
-from services.reporting.html_table import NUMBER, number, row, table
+from services.reporting.html_table import NUMBER, Cell, number, row, table
 from services.reporting.plots import palette
 from services.reporting.plots.catalogue import PLOTS, REVIEW
 from services.reporting.plots.collector import ROWS
-from services.reporting.plots.description import NO_DATA, Plot, Series
+from services.reporting.plots.description import NO_DATA, Group, Plot, Series
 from services.reporting.plots.recorded import PlotData, read
 from services.reporting.plots.table import Columns
 from services.reporting.run_summary_text import failure, how
+from services.reporting.safety import Mood
 from services.run.folder import draft_of
 
 MAX_RUNS = 40
@@ -55,7 +56,7 @@ def write(runs: Sequence[Run], out: Path) -> list[differences.Row]:
     title = f"{runs[0].name}" if len(runs) == 1 else f"{len(runs)} runs"
     parts = {
         "lines": "\n".join(_lines(runs, plot_data)),
-        "safe": safety_part.part([run.name for run in runs], plot_data),
+        "safe": _safety([run.name for run in runs], plot_data),
         "tables": "\n".join(_tables(runs, plot_data, figures)),
     }
     _write_page(out, title, plots_with_data(plot_data), _shown(runs, plot_data), **parts)
@@ -208,5 +209,60 @@ def _figures(runs: Sequence[Run], figures: Sequence[differences.Row]) -> str:
 
 def _events(run: Run, data: PlotData) -> str:
     title, head = f"Events of {run.name}", (("time (s)", NUMBER), "process", "what happened")
-    content = table(title, head, safety_part.event_rows(data), frame="scroll events")
+    content = table(title, head, _event_rows(data), frame="scroll events")
     return f'<section class="panel"><h3>{html.escape(title)}</h3>{content}</section>'
+
+
+def _safety(names: Sequence[str], plot_data: Sequence[PlotData]) -> str:
+    """Return the part that answers whether the run was safe; of several runs a table with a column each."""
+    if len(names) > 1:
+        return _of_several(names, plot_data)
+    (data,) = plot_data
+    facts = "".join(
+        f'<div><dt>{html.escape(fact.name)}</dt><dd class="{fact.mood}">{html.escape(fact.text)}</dd></div>'
+        for fact in data.safety.facts()
+    )
+    return static_files.safe_part(
+        facts=facts, processes=_processes(data), events=_event_rows(data), sortable=' class="sortable"'
+    )
+
+
+def _processes(data: PlotData) -> str:
+    """Return the rows of the table of processes."""
+    rows = "".join(
+        row(
+            (
+                one.name,
+                f"{one.state}{f', started {one.starts} times' if one.starts > 1 else ''}",
+                number(one.step_us, 0),
+                (str(one.lost), f"{NUMBER} bad" if one.lost else NUMBER),
+            )
+        )
+        for one in data.safety.processes()
+    )
+    in_lock_step = data.metadata.get("mode") == "lockstep"
+    why = "none: lock step runs in one process" if in_lock_step else "no status in the recording"
+    return rows or f'<tr><td colspan="4" class="quiet">{why}</td></tr>'
+
+
+def _of_several(names: Sequence[str], plot_data: Sequence[PlotData]) -> str:
+    """Return the facts about several runs, and the sum of the messages that their processes lost."""
+    columns = []
+    for data in plot_data:
+        facts = {fact.name: (fact.text, fact.mood) for fact in data.safety.facts()}
+        if processes := data.safety.processes():
+            lost = sum(one.lost for one in processes)
+            facts["messages lost"] = (str(lost), Mood.BAD if lost else Mood.GOOD)
+        columns.append(facts)
+    every = dict.fromkeys(name for facts in columns for name in facts)
+    body = "".join(row((name, *(facts.get(name, "–") for facts in columns))) for name in every)
+    content = table("Safety", ("fact", *names), body, kind="facts")
+    return f'<section class="part"><h2>{Group.SAFE.value}</h2><div class="panel">{content}</div></section>'
+
+
+def _event_rows(data: PlotData) -> str:
+    """Return the rows of the table of events."""
+    rows: list[tuple[Cell, ...]] = [((f"{mark.t_s:.1f}", NUMBER), mark.node, mark.text) for mark in data.marks]
+    if data.omitted_marks or not rows:
+        rows.append(("", "", (f"and {data.omitted_marks} more" if rows else "no events", "quiet")))
+    return "".join(map(row, rows))

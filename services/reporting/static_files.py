@@ -11,8 +11,6 @@ from services.reporting.plots.description import Group
 
 HERE = Path(__file__).parent / "static"
 
-NO_PLOTLY = "plotly is not installed"
-
 
 class NoPlotly(Exception):
     """Error: plotly, part of the extra ``viz``, is not installed."""
@@ -46,7 +44,7 @@ def plotly_path() -> Path:
         path = Path(folder) / "package_data" / "plotly.min.js"
         if path.is_file():
             return path
-    raise NoPlotly(NO_PLOTLY)
+    raise NoPlotly("plotly is not installed: pip install plotly (extra viz)")
 
 
 @cache

@@ -7,7 +7,6 @@ import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
 
 import numpy as np
 from rich.console import Console, Group
@@ -28,7 +27,7 @@ from ltv_mpc.errors import one_line
 from ltv_mpc.messages import ControllerStatus, LocalisationReport, SensorStatus
 from services.reporting.plots.collector import Collector
 from services.runtime.console import WIDTH, fold
-from services.supervisor.screen import LiveView, Screen, in_order
+from services.supervisor.screen import LiveView, in_order
 
 Limits = Sequence[tuple[float, float]]
 """Minimum and maximum thrust (N) of port, starboard, vertical; empty if they are not known."""
@@ -40,106 +39,72 @@ BAR = 31  # width in characters, from full astern to full ahead
 THRUSTERS = ("port", "starboard", "vertical")
 
 
-def _text(text: str = "", **style: Any) -> Text:
-    """Return a line of rich, which itself shows control characters of messages as they are."""
-    return Text(one_line(text), **style)
-
-
-def screen_for(title: str, limits: Limits, console: Console | None = None) -> Screen:
-    """Return a live screen if stderr is a terminal; plain lines if it is a pipe, or NO_COLOR or CI is set."""
-    console = console or Console(stderr=True)
-    return PlainScreen(console) if _plain(console) else LiveScreen(title, limits, console)
-
-
-def _plain(console: Console) -> bool:
+def is_plain(console: Console) -> bool:
+    """Return True if nothing may be redrawn in place: stderr is a pipe, or NO_COLOR or CI is set."""
     return "NO_COLOR" in os.environ or "CI" in os.environ or not console.is_terminal
 
 
-class LiveScreen:
-    """Live screen that is redrawn in place."""
+class RunScreen:
+    """Screen of a run: redrawn in place on a terminal, otherwise a line every ``LINE_S``."""
 
-    def __init__(self, title: str, limits: Limits, console: Console) -> None:
+    def __init__(self, title: str, limits: Limits, console: Console | None = None) -> None:
         self._title = title
         self._limits = limits
+        self._console = console or Console(stderr=True)
         self._collector = Collector()
-        self._live = Live(console=console, auto_refresh=False, vertical_overflow="crop")
-        self._live.start()
+        self._live: Live | None = None
+        if not is_plain(self._console):
+            self._live = Live(console=self._console, auto_refresh=False, vertical_overflow="crop")
+            self._live.start()
         self._next = 0.0
-        self._waiting: Progress | None = None
+        self._waiting = Progress(*_columns(), console=self._console)
 
     def update(self, view: LiveView) -> None:
-        """Draw the view, at most eight times a second."""
+        """Show the state of the run, unless the last one is too recent."""
         observe(self._collector, view)
-        now = time.monotonic()
-        if now >= self._next:
-            self._next = now + REDRAW_S
-            self._live.update(self.render(view), refresh=True)
+        if self._is_due():
+            if self._live is None:
+                self.say(line(view, self._collector))
+            else:
+                self._live.update(self.render(view), refresh=True)
 
     def wait(self, what: str, share: float) -> None:
-        """Show a progress bar with the time left in place of the screen."""
-        if self._waiting is None:
-            self._waiting = Progress(*_columns(), console=self._live.console)
+        """Show the progress of a preparation, on a terminal as a bar with the time left in place of the screen."""
+        if not self._is_due():
+            return
+        if self._live is None:
+            self.say(f"{what}: {share:.0%}")
+            return
+        if not self._waiting.task_ids:
             self._waiting.add_task("", total=1.0)
-        now = time.monotonic()
-        if now >= self._next:
-            self._next = now + REDRAW_S
-            self._waiting.update(self._waiting.task_ids[0], completed=share, description=escape(one_line(what)))
-            self._live.update(self._waiting.get_renderable(), refresh=True)
+        self._waiting.update(self._waiting.task_ids[0], completed=share, description=escape(one_line(what)))
+        self._live.update(self._waiting.get_renderable(), refresh=True)
 
     def say(self, text: str) -> None:
-        """Print a note above the screen."""
-        self._live.console.print(Text(fold(one_line(text), self._live.console.width)), soft_wrap=True)
+        """Print a line, on a terminal above the screen."""
+        shown = one_line(text)
+        self._console.print(Text(shown if self._live is None else fold(shown, self._console.width)), soft_wrap=True)
 
     def close(self) -> None:
         """Stop redrawing and leave the last screen visible."""
-        self._live.stop()
+        if self._live is not None:
+            self._live.stop()
 
     def render(self, view: LiveView) -> Group:
         """Return the complete screen."""
-        return Group(
-            _text(self._title, style="bold", no_wrap=True, overflow="ellipsis"),
-            _progress(view),
-            _text(),
-            *_motion(view, self._collector),
-            *_localisation(view),
-            _text(),
-            *_thrusts(view, self._limits),
-            _text(),
-            *_ages(view),
-            _text(),
-            _processes(view),
-        )
+        lines = [
+            *(self._title, _progress(view), ""),
+            *(*_motion(view, self._collector), *_localisation(view), ""),
+            *(*_thrusts(view, self._limits), "", *_ages(view), ""),
+        ]
+        return Group(*(Text(one_line(text), no_wrap=True, overflow="ellipsis") for text in lines), _processes(view))
 
-
-class PlainScreen:
-    """Plain output: one line every ``LINE_S``."""
-
-    def __init__(self, console: Console) -> None:
-        self._console = console
-        self._collector = Collector()
-        self._next = 0.0
-
-    def update(self, view: LiveView) -> None:
-        """Print the state of the run if ``LINE_S`` has passed since the last line."""
-        observe(self._collector, view)
+    def _is_due(self) -> bool:
         now = time.monotonic()
-        if now >= self._next:
-            self._next = now + LINE_S
-            self.say(line(view, self._collector))
-
-    def wait(self, what: str, share: float) -> None:
-        """Print the progress if ``LINE_S`` has passed since the last line."""
-        now = time.monotonic()
-        if now >= self._next:
-            self._next = now + LINE_S
-            self.say(f"{what}: {share:.0%}")
-
-    def say(self, text: str) -> None:
-        """Print a line."""
-        self._console.print(_text(text), soft_wrap=True)
-
-    def close(self) -> None:
-        """Do nothing: plain output has nothing to restore."""
+        due = now >= self._next
+        if due:
+            self._next = now + (LINE_S if self._live is None else REDRAW_S)
+        return due
 
 
 @contextmanager
@@ -157,7 +122,7 @@ def progress_bar(what: str, console: Console | None = None) -> Iterator[Callable
     Call the result with the share done, 0 .. 1, and a new text if there is one.
     """
     console = console or Console(stderr=True)
-    with Progress(*_columns(), console=console, transient=True, disable=_plain(console)) as bars:
+    with Progress(*_columns(), console=console, transient=True, disable=is_plain(console)) as bars:
         task = bars.add_task(escape(one_line(what)), total=1.0)
         yield lambda share, text=what: bars.update(task, completed=share, description=escape(one_line(text)))
 
@@ -214,24 +179,21 @@ def times(speed: float, asked: float) -> str:
     return f"{asked:g}x" if speed == asked else f"{speed:.3g} of {asked:g}x"
 
 
-def _progress(view: LiveView) -> Text:
+def _progress(view: LiveView) -> str:
     if view.end_ns is None:
         t = "-" if view.estimate is None and not view.status else f"{_seconds(view.t_ns)} s"
-        return _text(f"t {t:>10}  {view.phase}", no_wrap=True, overflow="ellipsis")
+        return f"t {t:>10}  {view.phase}"
     share = (view.t_ns - view.start_ns) / max(1, view.end_ns - view.start_ns)
-    done = round(PROGRESS * min(max(share, 0.0), 1.0))
-    return _text(
-        f"t {_seconds(view.t_ns):>8} s of {_seconds(view.end_ns)}  [{'#' * done:<{PROGRESS}}]"
-        f"  {times(view.speed, view.requested_speed)}  {view.phase}  wall time {view.wall_s:.0f} s",
-        no_wrap=True,
-    )
+    done = "#" * round(PROGRESS * min(max(share, 0.0), 1.0))
+    t = f"t {_seconds(view.t_ns):>8} s of {_seconds(view.end_ns)}  [{done:<{PROGRESS}}]"
+    return f"{t}  {times(view.speed, view.requested_speed)}  {view.phase}  wall time {view.wall_s:.0f} s"
 
 
-def _motion(view: LiveView, collector: Collector) -> list[Text]:
+def _motion(view: LiveView, collector: Collector) -> list[str]:
     """Return where the vehicle is by its estimate, how far from the reference, and who controls it in which health."""
     estimate, controller = view.estimate, view.controller
     if estimate is None:
-        return [_text("motion  no estimate yet"), _text("error   -"), _text(f"control {_control(controller)}")]
+        return ["motion  no estimate yet", "error   -", f"control {_control(controller)}"]
     depth = "" if estimate.depth_m is None else f"depth {round(estimate.depth_m, 2) + 0.0:.2f} m   "
     speed_mps = math.hypot(estimate.velocity_north_mps, estimate.velocity_east_mps)
     words = f"{depth}heading {round(math.degrees(estimate.heading_rad)) % 360} deg   speed {speed_mps:.3f} m/s"
@@ -244,8 +206,7 @@ def _motion(view: LiveView, collector: Collector) -> list[Text]:
         error += f"   vehicle from the reference {_metres(collector.true_error_m)}"
         if "since_s" in collector.values:  # the screen joined the run late; 80 columns
             error = error.replace("vehicle from the reference", "vehicle") + _since(collector)
-    lines = [f"motion  {words}", f"error   {error}", f"control {_control(controller)}"]
-    return [_text(line, no_wrap=True, overflow="ellipsis") for line in lines]
+    return [f"motion  {words}", f"error   {error}", f"control {_control(controller)}"]
 
 
 def _control(controller: ControllerStatus | None) -> str:
@@ -253,15 +214,14 @@ def _control(controller: ControllerStatus | None) -> str:
         return "no status of a controller yet"
     why = f" ({controller.health_why})" if controller.health_why else ""
     progress = "" if controller.progress is None else f"   progress {100 * controller.progress:.0f} %"
-    progress = "   arrived" if controller.arrived else progress
-    return f"{controller.authority}   {controller.health}{why}{progress}"
+    return f"{controller.authority}   {controller.health}{why}{'   arrived' if controller.arrived else progress}"
 
 
-def _localisation(view: LiveView) -> list[Text]:
+def _localisation(view: LiveView) -> list[str]:
     """Return the line of the localisation filter; a vehicle with a navigation of its own has none."""
     if view.localisation is None and view.end_ns is None:
         return []
-    return [_text(f"filter  {_filter(view.localisation)}", no_wrap=True, overflow="ellipsis")]
+    return [f"filter  {_filter(view.localisation)}"]
 
 
 def _filter(report: LocalisationReport | None) -> str:
@@ -273,38 +233,28 @@ def _filter(report: LocalisationReport | None) -> str:
     return "   ".join([f"{report.status}{why}", *wrong])
 
 
-def _thrusts(view: LiveView, limits: Limits) -> list[Text]:
+def _thrusts(view: LiveView, limits: Limits) -> list[str]:
     """Return a line for each thruster: its force, and a bar if its limits are known. A surface craft has two."""
     dives = any(limits[2]) if limits else view.estimate is None or view.estimate.depth_m is not None
     names = THRUSTERS if dives else THRUSTERS[:2]
     if view.applied is None:
-        return [_text(f"{name:<10}{'-':>8} N") for name in names]
-    lines = []
-    for i, (name, thrust_N) in enumerate(zip(names, view.applied.thrust_N, strict=False)):
-        text, style = f"{name:<10}{thrust_N:z8.1f} N", ""
-        if limits:
-            least, most = limits[i]
-            text += f"  {bar(thrust_N, least, most)}"
-            if thrust_N >= 0.999 * most or thrust_N <= 0.999 * least:
-                style = "yellow"
-        lines.append(_text(text, style=style))
-    return lines
+        return [f"{name:<10}{'-':>8} N" for name in names]
+    thrusts_N = view.applied.thrust_N
+    bars = [f"  {bar(thrust_N, *ends)}" for thrust_N, ends in zip(thrusts_N, limits, strict=False)] or [""] * len(names)
+    return [f"{name:<10}{thrust_N:z8.1f} N{one}" for name, thrust_N, one in zip(names, thrusts_N, bars, strict=False)]
 
 
-def _ages(view: LiveView) -> list[Text]:
+def _ages(view: LiveView) -> list[str]:
     estimate = "-" if view.estimate is None else f"{_seconds(view.t_ns - view.estimate.t_ns, 2)} s"
     plan = "-" if view.plan is None else f"{_seconds(view.t_ns - view.plan.cycle_t_ns, 2)} s ({view.plan.origin})"
     late = view.applied.plans_late if view.applied else 0
-    lines = [f"age     estimate {estimate}   plan {plan}   late plans {late}"]
-    if view.timing is None:
-        lines.append("cycle   -")
-    else:
-        words = f"cycle   {view.timing.compute_wall_ns / 1e6:.1f} ms, most of it:"
+    cycle = "cycle   -"
+    if view.timing is not None:
+        cycle = f"cycle   {view.timing.compute_wall_ns / 1e6:.1f} ms, most of it:"
         for name, us in sorted(view.timing.stage_us.items(), key=lambda stage: -stage[1])[:4]:
             stage = f"  {name} {us / 1000:.2f}"
-            words += stage if len(words) + len(stage) <= WIDTH else ""
-        lines.append(words)
-    return [_text(text, no_wrap=True, overflow="ellipsis") for text in lines]
+            cycle += stage if len(cycle) + len(stage) <= WIDTH else ""
+    return [f"age     estimate {estimate}   plan {plan}   late plans {late}", cycle]
 
 
 def _processes(view: LiveView) -> Table:
@@ -315,15 +265,13 @@ def _processes(view: LiveView) -> Table:
         table.add_column(name, justify="right")
     states = {**dict.fromkeys(view.status, ""), **view.state}
     for name, state in in_order(states):
-        status = view.status.get(name)
-        if status is None:
-            table.add_row(_text(name), _text(state), *[""] * 6)
-            continue
-        if status.waiting_for:
-            state = f"waits for {status.waiting_for}"
-        counts = (status.steps, status.published, status.received, status.dropped, status.rejected)
-        bad = "yellow" if status.dropped or status.rejected else ""
-        table.add_row(_text(name), _text(state), *(str(x) for x in counts), f"{status.step_us:.0f}", style=bad)
+        cells = [name, state]
+        if (status := view.status.get(name)) is not None:
+            cells = [name, f"waits for {status.waiting_for}" if status.waiting_for else state]
+            counts = (status.steps, status.published, status.received, status.dropped, status.rejected)
+            cells += [*map(str, counts), f"{status.step_us:.0f}"]
+        bad = status is not None and (status.dropped or status.rejected)
+        table.add_row(*(Text(one_line(cell)) for cell in cells), style="yellow" if bad else "")
     return table
 
 

@@ -11,7 +11,7 @@ from services.bus.options import BusOptions
 from services.bus.roles import ROUTER
 from services.bus.session import open_session
 from services.bus.topics import BY_TYPE, Topic
-from services.reporting.terminal import screen_for
+from services.reporting.terminal import RunScreen
 from services.runtime.console import Console
 from services.runtime.serve import run_until_stopped
 from services.runtime.stopping import Say, StopRequest
@@ -67,7 +67,7 @@ def main(bus: BusOptions, vehicle: str | None) -> int:
             if not bus.namespace:
                 session.subscribe(f"**/{STATUS}/*", BY_TYPE[NodeStatus], others)
             started_s = time.monotonic()
-            screen = screen_for(title, limits)
+            screen = RunScreen(title, limits)
             try:
                 while not request.wait(UPDATE_S):
                     now_s = time.monotonic()

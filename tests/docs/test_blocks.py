@@ -27,7 +27,7 @@ from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.messages import Action
 from services.cli import start
 from services.cli.app import app, run
-from services.cli.ctl import HEARTBEAT
+from services.cli.bus import HEARTBEAT
 from services.run.folder import RunFolder
 from services.run.run_config import RunConfig
 from services.runtime.stopping import DONE

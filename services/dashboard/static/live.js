@@ -13,7 +13,7 @@
   const SHOWN_AFTER_S = 0.15; // wall time from a message to its text here: the period of the stream, and the way
   const RESTARTED = ["estimator", "controller", "recorder"]; // a run continues without them for a short time
 
-  const { element } = Plots;
+  const { element, button } = Plots;
   const token = location.hash.slice(1);
   const byId = (id) => document.getElementById(id);
   const run = { name: "", colour: null, tables: {}, values: {}, marks: [] };
@@ -76,8 +76,8 @@
       if (status !== null && text.run !== status.run) moments = [];
     }
     for (const [name, columns] of Object.entries(text.rows)) {
-      const old = text.replaced.includes(name) ? undefined : run.tables[name];
-      run.tables[name] = old ? joined(old, columns) : columns;
+      const old = text.replaced.includes(name) ? {} : run.tables[name] || {};
+      run.tables[name] = mapped(columns, (cells, column) => (old[column] || []).concat(cells));
     }
     Object.assign(run.tables, text.tables);
     run.values = text.values;
@@ -91,11 +91,7 @@
     dirty = true;
   }
 
-  function joined(old, columns) {
-    const all = {};
-    for (const name of Object.keys(columns)) all[name] = old[name].concat(columns[name]);
-    return all;
-  }
+  const mapped = (columns, f) => Object.fromEntries(Object.entries(columns).map(([name, cells]) => [name, f(cells, name)]));
 
   // --- looking back -------------------------------------------------------------------------------------------------
 
@@ -128,12 +124,10 @@
   function shown(plot) {
     if (past === null) return run;
     const tables = { ...run.tables, ...past.tables };
-    if (!plot.over_time) {
+    if (!plot.x.time) {
       for (const [name, columns] of Object.entries(tables)) {
-        if (!columns.t_s) continue;
-        const end = columns.t_s.findIndex((t) => t > past.status.t_s);
-        if (end < 0) continue;
-        tables[name] = Object.fromEntries(Object.entries(columns).map(([column, cells]) => [column, cells.slice(0, end)]));
+        const end = (columns.t_s || []).findIndex((t) => t > past.status.t_s);
+        if (end >= 0) tables[name] = mapped(columns, (cells) => cells.slice(0, end));
       }
     }
     return { ...run, tables };
@@ -161,21 +155,16 @@
       next += 1;
       if (next >= plots.length) {
         next = 0;
-        if (!drawn) reportDrawn();
+        drawn = drawn || post("drawn"); // the clock of a run waits for it
       }
     }
     setTimeout(draw, Math.max(DRAW_MS, drawn ? PAUSES * (performance.now() - began_ms) : 0));
   }
 
-  // The clock of a run waits for it.
-  function reportDrawn() {
-    drawn = tell("drawn");
-  }
-
   // Return true if the server could be told.
-  function tell(what) {
+  function post(what, more) {
     if (socket.readyState !== WebSocket.OPEN) return false;
-    socket.send(JSON.stringify({ number: 0, token, button: what }));
+    socket.send(JSON.stringify({ number: 0, token, button: what, ...more }));
     return true;
   }
 
@@ -234,9 +223,9 @@
       ...(now.arrived ? [["end of the reference", "arrived"]] : []),
     ];
     byId("facts").replaceChildren(...entries.map(([name, value, mood]) => {
-      const row = document.createElement("div");
-      row.append(element("dt", name), element("dd", value, mood));
-      return row;
+      const fact = element("div", "");
+      fact.append(element("dt", name), element("dd", value, mood));
+      return fact;
     }));
     const known = rows.size;
     now.processes.forEach(showProcess);
@@ -260,10 +249,8 @@
   // Return a command with a button that copies it. Where the browser refuses, because the page comes from another host
   // without https, the button selects the command instead.
   function copied(text) {
-    const command = element("code", text), button = element("button", "Copy", "small"), result = element("output", "");
-    button.type = "button";
-    button.setAttribute("aria-label", "Copy the command");
-    button.addEventListener("click", async () => {
+    const command = element("code", text), result = element("output", "");
+    const copy = button("Copy", async () => {
       try {
         await navigator.clipboard.writeText(text);
         result.textContent = "copied";
@@ -271,8 +258,8 @@
         getSelection().selectAllChildren(command);
         result.textContent = "selected: copy it with Ctrl+C";
       }
-    });
-    return [command, " ", button, result];
+    }, { label: "Copy the command" });
+    return [command, " ", copy, result];
   }
 
   // The server ends when each page has the report, so the link leads to a copy that this page keeps.
@@ -285,31 +272,30 @@
       link.href = URL.createObjectURL(new Blob([await reply.blob()], { type: "text/html" }));
       link.target = "_blank";
       byId("report").firstChild.replaceWith(link, ": ");
-      tell("has report"); // the end of a run waits for it
+      post("has report"); // the end of a run waits for it
     }
     asking = false;
   }
 
-  function eventRow(mark) {
-    const row = document.createElement("tr");
-    row.append(element("td", mark.t_s.toFixed(1), "number"), element("td", mark.node), element("td", mark.text));
-    return row;
+  function row(...cells) {
+    const made = document.createElement("tr");
+    made.append(...cells);
+    return made;
   }
+
+  const eventRow = (mark) => row(element("td", mark.t_s.toFixed(1), "number"), element("td", mark.node), element("td", mark.text));
 
   // Keep the row of a process, so that its button can be pressed.
   function processRow(name) {
-    const row = document.createElement("tr");
-    row.append(element("td", name), element("td", ""), element("td", "", "number"), element("td", ""),
-      document.createElement("td"));
-    if (token && RESTARTED.includes(name)) row.lastChild.append(killer(name));
-    rows.set(name, row);
-    return row;
+    const made = row(element("td", name), element("td", ""), element("td", "", "number"), element("td", ""), element("td", ""));
+    if (token && RESTARTED.includes(name)) made.lastChild.append(killer(name));
+    rows.set(name, made);
+    return made;
   }
 
   function showProcess(process) {
-    const row = rows.get(process.name) || processRow(process.name);
     const silent = process.silent_s > 2 && process.state !== "finished";
-    const [, state, step, lost, last] = row.children;
+    const [, state, step, lost, last] = (rows.get(process.name) || processRow(process.name)).children;
     state.textContent = silent ? `silent for ${process.silent_s.toFixed(0)} s` : process.state;
     state.className = silent ? "bad" : "";
     state.title = `${process.state}; ${process.steps} steps; last status ${process.silent_s.toFixed(1)} s ago`;
@@ -320,11 +306,10 @@
   }
 
   function killer(node) {
-    const button = element("button", "kill", "small");
-    button.type = "button";
-    button.dataset.kill = node;
-    button.title = `End the ${node}'s process without warning; the supervisor starts another`;
-    return button;
+    const made = button("kill", () => send("kill", { node }));
+    made.dataset.kill = node;
+    made.title = `End the ${node}'s process without warning; the supervisor starts another`;
+    return made;
   }
 
   function ages(now) {
@@ -354,27 +339,19 @@
     reply.className = done ? "" : "bad";
   }
 
-  function send(button, more) {
-    if (socket.readyState !== WebSocket.OPEN) return;
+  function send(what, more) {
     number += 1;
-    socket.send(JSON.stringify({ number, token, button, ...more }));
-    showReply(`${button} …`, true);
+    if (post(what, { number, ...more })) showReply(`${what} …`, true);
   }
 
   // Tell the vehicle that an operator is there. The stream drives it: browsers slow the timers of hidden pages.
   function beat() {
-    if (!token || socket.readyState !== WebSocket.OPEN || receivedAt - beatAt < BEAT_MS) return;
-    beatAt = receivedAt;
-    socket.send(JSON.stringify({ number: 0, token, button: "heartbeat" }));
+    if (token && receivedAt - beatAt >= BEAT_MS && post("heartbeat")) beatAt = receivedAt;
   }
 
   byId("buttons").addEventListener("click", (event) => {
-    const button = event.target.closest("button");
-    if (button) send(button.dataset.button, {});
-  });
-  byId("processes").addEventListener("click", (event) => {
-    const button = event.target.closest("button");
-    if (button) send("kill", { node: button.dataset.kill });
+    const pressed = event.target.closest("button");
+    if (pressed) send(pressed.dataset.button, {});
   });
   byId("moment").addEventListener("input", (event) => lookBack(Number(event.target.value)));
   byId("now").addEventListener("click", () => lookBack(null));

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from ltv_mpc.messages import Array
-from services.reporting.plots.table import Columns, short
+from services.reporting.plots.table import Columns, shorts
 
 BINS = 40
 SEGMENTS = 8
@@ -37,7 +38,7 @@ def _over_depth(distance: Columns, track: Columns) -> Columns:
     if not known.any():
         return {}
     depths = np.interp(_floats(distance["t_s"]), t[known], depth[known])
-    return {"depth_m": [short(x) for x in depths], "distance_m": list(distance["distance_m"])}
+    return {"depth_m": shorts(depths), "distance_m": list(distance["distance_m"])}
 
 
 def _current_error(profile: Columns, true: Columns) -> Columns:
@@ -47,14 +48,14 @@ def _current_error(profile: Columns, true: Columns) -> Columns:
         return {}
     depth = _floats(profile["depth_m"])
     been = (depth >= true_depth.min()) & (depth <= true_depth.max())
-    columns: Columns = {"depth_m": [short(x) for x in depth[been]]}
+    columns: Columns = {"depth_m": shorts(depth[been])}
     for axis in ("north", "east"):
         actual = np.interp(depth, true_depth[order], _floats(true[f"{axis}_mps"])[order])
         estimated = _floats(profile[f"{axis}_mps"])
-        columns[f"{axis}_mps"] = [short(x) for x in (estimated - actual)[been]]
+        columns[f"{axis}_mps"] = shorts((estimated - actual)[been])
         for end in ("low", "high"):
             if (column := f"{axis}_{end}_mps") in profile:
-                columns[column] = [short(x) for x in (_floats(profile[column]) - estimated)[been]]
+                columns[column] = shorts((_floats(profile[column]) - estimated)[been])
     return columns
 
 
@@ -65,9 +66,9 @@ def _histogram(thrust: Columns) -> Columns:
     if len(every) < MIN_SAMPLES:
         return {}
     edges = np.linspace(every.min() - 0.5, every.max() + 0.5, BINS + 1)
-    columns: Columns = {"thrust_N": [short(x) for x in 0.5 * (edges[:-1] + edges[1:])]}
+    columns: Columns = {"thrust_N": shorts(0.5 * (edges[:-1] + edges[1:]))}
     for side, force in forces.items():
-        columns[f"{side}_percent"] = [short(100.0 * x / len(force)) for x in np.histogram(force, edges)[0]]
+        columns[f"{side}_percent"] = shorts(100.0 * np.histogram(force, edges)[0] / len(force))
     return columns
 
 
@@ -77,18 +78,16 @@ def _spectrum(thrust: Columns) -> Columns:
     if len(t) < MIN_SAMPLES or t[-1] <= t[0]:
         return {}
     step_s = float(np.median(np.diff(t)))
-    length = max(MIN_SAMPLES // 2, 2 * len(t) // (SEGMENTS + 1))
     uniform = t[0] + step_s * np.arange(int((t[-1] - t[0]) / step_s))
-    window = np.hanning(length)
-    starts = range(0, max(len(uniform) - length, 0) + 1, max(length // 2, 1))
-    columns: Columns = {"frequency_Hz": [short(x) for x in np.fft.rfftfreq(length, step_s)[1:]]}
+    length = min(len(uniform), max(MIN_SAMPLES // 2, 2 * len(t) // (SEGMENTS + 1)))
+    window = np.hanning(length)  # scipy.signal takes a second to import
+    columns: Columns = {"frequency_Hz": shorts(np.fft.rfftfreq(length, step_s)[1:])}
     for side in ("port", "starboard"):
         force = np.interp(uniform, t, _floats(thrust[f"{side}_N"]))
-        parts = [window * (part - part.mean()) for k in starts if len(part := force[k : k + length]) == length]
-        if not parts:
-            return {}
-        power = 2.0 * step_s / np.sum(window**2) * np.mean([np.abs(np.fft.rfft(part)) ** 2 for part in parts], axis=0)
-        columns[f"{side}_N2pHz"] = [short(x) if x > 1e-4 else None for x in power[1:]]  # a logarithmic axis
+        parts = sliding_window_view(force, length)[:: length // 2]
+        waves = np.fft.rfft(window * (parts - parts.mean(axis=1, keepdims=True)))
+        power = 2.0 * step_s / np.sum(window**2) * np.mean(np.abs(waves) ** 2, axis=0)
+        columns[f"{side}_N2pHz"] = shorts(np.where(power > 1e-4, power, np.nan)[1:])  # a logarithmic axis
     return columns
 
 
@@ -99,7 +98,7 @@ def _residuals(errors: Columns) -> Columns:
     with np.errstate(divide="ignore", invalid="ignore"):
         for axis in ("north", "east"):
             ratio = _floats(errors[f"{axis}_m"]) / sigma
-            columns[axis] = [short(x) for x in np.where(sigma > 1e-3, ratio, np.nan)]
+            columns[axis] = shorts(np.where(sigma > 1e-3, ratio, np.nan))
     if all(cell is None for axis in ("north", "east") for cell in columns[axis]):
         return {}
     columns |= {"low": [-2.0] * len(sigma), "high": [2.0] * len(sigma)}

@@ -8,7 +8,6 @@ from services.reporting.plots.delays import STAGES as ROWS_OF_STAGES
 from services.reporting.plots.description import Axis, Group, Level, Plot, Series, Style
 from services.reporting.plots.vehicle_from_above import CURRENT_MPS
 
-TIME = Axis("time (s)")
 NO_TIMES = "no times; none are measured in lock step"
 
 
@@ -22,7 +21,6 @@ TRACK = Plot(
     title="View from above",
     x=Axis("east (m)", min_span=1.0),
     y=Axis("north (m)", min_span=1.0),
-    over_time=False,
     equal=True,
     from_start=True,
     group=Group.LINE,
@@ -65,7 +63,6 @@ def _over_time(axis: str, colour: str) -> Plot:
     return Plot(
         name=axis,
         title=f"{axis.capitalize()} over time",
-        x=TIME,
         y=Axis(f"{axis} (m)", min_span=0.1),
         group=Group.LINE,
         drifts=True,
@@ -84,7 +81,6 @@ EAST = _over_time("east", palette.EAST)
 DEPTH = Plot(
     name="depth",
     title="Depth",
-    x=TIME,
     y=Axis("depth (m)", downwards=True, min_span=1.0),
     group=Group.LINE,
     diving=True,
@@ -98,7 +94,6 @@ DEPTH = Plot(
 ERRORS = Plot(
     name="errors",
     title="Position error of the estimate",
-    x=TIME,
     y=Axis("error (m)", min_span=0.1),
     note="Error gained since t = 0. Without a known truth: two standard deviations of the position.",
     group=Group.LINE,
@@ -121,7 +116,6 @@ ERRORS = Plot(
 TRACKING = Plot(
     name="tracking",
     title="Distance from the reference",
-    x=TIME,
     y=Axis("distance (m)", min_span=0.1),
     group=Group.LINE,
     drifts=True,
@@ -134,7 +128,6 @@ TRACKING = Plot(
 THRUST = Plot(
     name="thrust",
     title="Port and starboard thrust",
-    x=TIME,
     y=Axis("thrust (N)", min_span=10.0),
     series=(
         Series("port", "thrust", "t_s", "port_N", palette.PORT, compared=True),
@@ -150,7 +143,6 @@ CURRENT = Plot(
     title="Water current over depth",
     x=Axis("velocity (m/s)", min_span=0.1),
     y=Axis("depth (m)", downwards=True, min_span=1.0),
-    over_time=False,
     note="Bands are two standard deviations. The true current is shown where the vehicle has been.",
     series=(
         Series("", "profile", "north_low_mps", "depth_m", palette.NORTH, Style.BAND, x_high="north_high_mps"),
@@ -165,7 +157,6 @@ CURRENT = Plot(
 VERTICAL = Plot(
     name="vertical",
     title="Vertical thrust",
-    x=TIME,
     y=Axis("thrust (N), down", min_span=10.0),
     empty="no vertical thruster",
     diving=True,
@@ -179,7 +170,6 @@ VERTICAL = Plot(
 HEADING = Plot(
     name="heading",
     title="Heading",
-    x=TIME,
     y=Axis("heading, unwrapped (deg)", min_span=5.0),
     group=Group.LINE,
     note="The heading counts on beyond 180°. The reference of an underactuated vehicle has no heading: the controller "
@@ -194,7 +184,6 @@ HEADING = Plot(
 YAW_RATE = Plot(
     name="yaw_rate",
     title="Yaw rate",
-    x=TIME,
     y=Axis("yaw rate (deg/s)", min_span=1.0),
     note="Positive to starboard. There is no reference: the thrusters that turn the vehicle also drive it, so the "
     "controller plans the yaw rate. The estimate is the reading of the gyro without its bias, so it has the noise of "
@@ -209,7 +198,6 @@ YAW_RATE = Plot(
 NIS_BY_SENSOR = Plot(
     name="nis",
     title="Innovations by sensor (NIS)",
-    x=TIME,
     y=Axis("deviation of NIS from 1 (sd)", min_span=6.0),
     empty="no report of an estimator",
     note=(
@@ -228,7 +216,6 @@ NIS_BY_SENSOR = Plot(
 ENERGY = Plot(
     name="energy",
     title="Propulsive energy",
-    x=TIME,
     y=Axis("energy (J)", min_span=10.0),
     empty="the vehicle file has no torque coefficients",
     note="Mechanical energy at the shafts since t = 0, or since the time that the legend names.",
@@ -242,7 +229,6 @@ ENERGY = Plot(
 LATENCY = Plot(
     name="latency",
     title="Cycle time and its deadline",
-    x=TIME,
     y=Axis("wall time (ms)", log=True),
     empty=NO_TIMES,
     note="Each point is the slowest of several cycles.",
@@ -257,7 +243,6 @@ STAGES = Plot(
     title="Delays by step (last two in vehicle time)",
     x=Axis("delay (ms)", log=True),
     y=Axis("step", downwards=True, rows=ROWS_OF_STAGES),
-    over_time=False,
     empty=NO_TIMES,
     note="Percentiles of all cycles so far, or since the time that the legend names. The steps of a cycle are in wall "
     "time.",
@@ -280,7 +265,6 @@ OVER_DEPTH = Plot(
     title="Distance from the reference over depth",
     x=Axis("distance (m)", min_span=0.1),
     y=Axis("depth (m)", downwards=True, min_span=1.0),
-    over_time=False,
     group=Group.REVIEW,
     diving=True,
     series=(
@@ -305,7 +289,6 @@ def _current_error(axis: str, colour: str) -> Plot:
         title=f"Error of the estimated current, {axis}",
         x=Axis(f"error {axis} (m/s)", min_span=0.02),
         y=Axis("depth (m)", downwards=True, min_span=1.0),
-        over_time=False,
         group=Group.REVIEW,
         diving=True,
         note="At the end of the run, where the vehicle has been; two standard deviations of the filter.",
@@ -324,7 +307,6 @@ HISTOGRAM = Plot(
     title="Histogram of the lateral thrusts",
     x=Axis("thrust (N)", min_span=10.0),
     y=Axis("share of the time (%)"),
-    over_time=False,
     group=Group.REVIEW,
     series=_of_both_sides("histogram", "thrust_N", "percent"),
 )
@@ -334,7 +316,6 @@ SPECTRUM = Plot(
     title="Spectrum of the lateral thrusts",
     x=Axis("frequency (Hz)", log=True),
     y=Axis("power density (N²/Hz)", log=True),
-    over_time=False,
     group=Group.REVIEW,
     note="Mean of overlapping segments with a Hann window (Welch), from the thrusts as they are plotted over time.",
     series=_of_both_sides("spectrum", "frequency_Hz", "N2pHz"),
@@ -343,7 +324,6 @@ SPECTRUM = Plot(
 RESIDUALS = Plot(
     name="residuals",
     title="Position error in standard deviations",
-    x=TIME,
     y=Axis("error / standard deviation (1)", min_span=4.0),
     group=Group.REVIEW,
     note="Error since t = 0, divided by the standard deviation of the filter in its worst direction; the band is ±2.",
@@ -363,7 +343,6 @@ def _innovations(measured: str, table: str) -> Plot:
     return Plot(
         name=table,
         title=f"Innovations: {measured.replace('_', ' ')}",
-        x=TIME,
         y=Axis(f"innovation ({UNITS.get(measured, 'm')})"),
         group=Group.REVIEW,
         note=(

@@ -65,18 +65,21 @@ class Axis(msgspec.Struct, frozen=True):
     log: bool = False
     min_span: float | None = None  # smallest range shown, so that noise does not look like motion
     rows: tuple[str, ...] = ()  # names of the values 0, 1, ...
+    time: bool = False  # vehicle time: the axes of all plots have one range, and events are drawn as marks
+
+
+TIME = Axis("time (s)", time=True)
 
 
 class Plot(msgspec.Struct, frozen=True, kw_only=True):
-    """Plot of a run. If ``over_time``, x is vehicle time and events are drawn as marks."""
+    """Plot of a run."""
 
     name: str
     title: str
-    x: Axis
+    x: Axis = TIME
     y: Axis
     series: tuple[Series, ...]
     levels: tuple[Level, ...] = ()
-    over_time: bool = True
     equal: bool = False  # the same scale on both axes
     from_start: bool = False  # data before t = 0 are hidden as soon as there are later ones
     empty: str = NO_DATA  # text shown without data

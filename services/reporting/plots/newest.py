@@ -9,7 +9,7 @@ import numpy as np
 from ltv_mpc.messages import Applied, Array, CurrentProfile, Estimate, FenceInForce, Plan
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.reporting.plots import fence, vehicle_from_above
-from services.reporting.plots.table import Columns, short
+from services.reporting.plots.table import Columns, points, shorts
 from services.reporting.plots.truth import principal
 
 ELLIPSE = 48  # points
@@ -50,11 +50,14 @@ class NewestState:
         seconds : converts a vehicle time (ns) to the time axis.
         heading_deg : converts a heading (rad) to the heading axis.
         """
+        ellipse = points()
+        if self.estimate is not None and covariance is not None:
+            ellipse = points(np.add(outline(covariance, SIGMAS), [self.estimate.north_m, self.estimate.east_m]))
         return {
             **self._of_plan(seconds, heading_deg),
             **vehicle_from_above.tables(self.estimate, self.applied, vehicle, self.profile),
             **fence.tables(self.fence, self.plan),
-            "ellipse": self._ellipse(covariance),
+            "ellipse": ellipse,
             "profile": self._profile(),
         }
 
@@ -62,39 +65,23 @@ class NewestState:
         plan = self.plan
         if plan is None:
             return {"horizon": {}, "ahead": {}, "target": {}}
-        horizon: Columns = {
-            "north_m": [short(x) for x in plan.states[:, 0]],
-            "east_m": [short(x) for x in plan.states[:, 1]],
-        }
-        ahead: Columns = {"t_s": [short(seconds(t)) for t in plan.t_ns.tolist()]}
+        ahead: Columns = {"t_s": shorts(map(seconds, plan.t_ns.tolist()))}
         for name, thrust_N in zip(("port_N", "starboard_N", "vertical_N"), plan.thrust_N.T, strict=True):
-            ahead[name] = [short(x) for x in thrust_N]
-        ahead["heading_deg"] = [short(heading_deg(x)) for x in plan.states[:, 4].tolist()]
-        ahead["yaw_rate_dps"] = [short(x) for x in np.degrees(plan.states[:, 5])]
-        target: Columns = {}
-        if plan.reference_m is not None:
-            target = {"north_m": [short(plan.reference_m[0])], "east_m": [short(plan.reference_m[1])]}
-        return {"horizon": horizon, "ahead": ahead, "target": target}
-
-    def _ellipse(self, covariance: Array | None) -> Columns:
-        """Return the 2-sigma ellipse of the estimated position."""
-        if self.estimate is None or covariance is None:
-            return {"north_m": [], "east_m": []}
-        north, east = outline(covariance, SIGMAS).T
-        return {
-            "north_m": [short(x + self.estimate.north_m) for x in north],
-            "east_m": [short(x + self.estimate.east_m) for x in east],
-        }
+            ahead[name] = shorts(thrust_N)
+        ahead["heading_deg"] = shorts(map(heading_deg, plan.states[:, 4].tolist()))
+        ahead["yaw_rate_dps"] = shorts(np.degrees(plan.states[:, 5]))
+        target = points() if plan.reference_m is None else points(np.array([plan.reference_m]))
+        return {"horizon": points(plan.states[:, :2]), "ahead": ahead, "target": target}
 
     def _profile(self) -> Columns:
         """Return the table of the current with its 2-sigma band, one row for each depth."""
         profile = self.profile
         if profile is None:
             return {}
-        columns: Columns = {"depth_m": [short(x) for x in profile.depth_m]}
+        columns: Columns = {"depth_m": shorts(profile.depth_m)}
         for name, velocity in (("north", profile.north_mps), ("east", profile.east_mps)):
-            columns[f"{name}_mps"] = [short(x) for x in velocity]
+            columns[f"{name}_mps"] = shorts(velocity)
             if profile.sd_mps is not None:
-                columns[f"{name}_low_mps"] = [short(x) for x in velocity - SIGMAS * profile.sd_mps]
-                columns[f"{name}_high_mps"] = [short(x) for x in velocity + SIGMAS * profile.sd_mps]
+                columns[f"{name}_low_mps"] = shorts(velocity - SIGMAS * profile.sd_mps)
+                columns[f"{name}_high_mps"] = shorts(velocity + SIGMAS * profile.sd_mps)
         return columns

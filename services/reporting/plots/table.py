@@ -8,8 +8,10 @@ remain visible.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, TypeAlias
+
+from ltv_mpc.messages import Array
 
 Cell: TypeAlias = float | None
 Columns: TypeAlias = dict[str, list[Cell]]
@@ -59,3 +61,17 @@ class Table:
 def short(value: Any) -> Cell:
     """Round a value to ``DECIMALS``; None if it is not finite."""
     return round(float(value), DECIMALS) if value is not None and math.isfinite(value) else None
+
+
+def shorts(values: Iterable[Any]) -> list[Cell]:
+    """Round values to ``DECIMALS``."""
+    return [short(value) for value in values]
+
+
+def points(*lines: Array) -> Columns:
+    """Return lines (K, 2), north and east (m), in one table; None separates two lines."""
+    columns: Columns = {"north_m": [], "east_m": []}
+    for line in lines:
+        for cells, values in zip(columns.values(), line.T, strict=True):
+            cells += [*([None] if cells else []), *shorts(values)]
+    return columns

@@ -12,7 +12,7 @@ import numpy as np
 
 from ltv_mpc.messages import Applied, Array, CurrentProfile, Estimate
 from ltv_mpc.vehicle.parameters import Hull, Vehicle
-from services.reporting.plots.table import Columns, short
+from services.reporting.plots.table import Columns, points
 
 CURRENT_MPS = 0.1
 UNKNOWN_HULL = Hull(length_m=2.0, beam_m=0.6)
@@ -53,7 +53,7 @@ def tables(
     if profile is not None:
         velocity = current_at(profile, estimate.depth_m or 0.0)
         arrow = _arrow(np.zeros(2), np.array(velocity) * hull.length_m / CURRENT_MPS, hull)
-        shown["current_arrow"] = _columns(np.add(arrow, [estimate.north_m, estimate.east_m]))
+        shown["current_arrow"] = points(np.add(arrow, [estimate.north_m, estimate.east_m]))
     return shown
 
 
@@ -76,12 +76,8 @@ def _arrow(foot: Array, along: Array, hull: Hull) -> Array:
     return np.array([foot, tip, tip - barb + across, tip, tip - barb - across])
 
 
-def _placed(points: Array, estimate: Estimate) -> Columns:
-    """Turn points (K, 2), ahead and to starboard, by the heading and move them to the position."""
+def _placed(line: Array, estimate: Estimate) -> Columns:
+    """Turn a line (K, 2), ahead and to starboard, by the heading and move them to the position."""
     c, s = math.cos(estimate.heading_rad), math.sin(estimate.heading_rad)
     rotation = np.array([[c, -s], [s, c]])
-    return _columns(np.add(points @ rotation.T, [estimate.north_m, estimate.east_m]))
-
-
-def _columns(points: Array) -> Columns:
-    return {"north_m": [short(x) for x in points[:, 0]], "east_m": [short(x) for x in points[:, 1]]}
+    return points(np.add(line @ rotation.T, [estimate.north_m, estimate.east_m]))

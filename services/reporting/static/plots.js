@@ -31,6 +31,14 @@ const Plots = (() => {
     return made;
   }
 
+  function button(text, onClick, { kind = "small", label = "" } = {}) {
+    const made = element("button", text, kind);
+    made.type = "button";
+    if (label) made.setAttribute("aria-label", label);
+    made.addEventListener("click", onClick);
+    return made;
+  }
+
   function transparent(hex, alpha) {
     const part = (i) => parseInt(hex.slice(i, i + 2), 16);
     return `rgba(${part(1)}, ${part(3)}, ${part(5)}, ${alpha})`;
@@ -38,35 +46,26 @@ const Plots = (() => {
 
   // --- data of a series ---------------------------------------------------------------------------------------------
 
-  // Return the rows after which data are missing: later than GAP_S and GAP_STEPS mean steps.
+  // Return the rows before which data are missing: later than GAP_S and GAP_STEPS mean steps.
   function gaps(times) {
-    let steps = 0; // several points may have one time
-    for (let i = 1; i < times.length; i++) if (times[i] > times[i - 1]) steps += 1;
-    const known = steps > 1 ? (times[times.length - 1] - times[0]) / steps : 0;
-    const longest = Math.max(GAP_S, GAP_STEPS * known);
-    const rows = [];
-    for (let i = 1; i < times.length; i++) if (times[i] - times[i - 1] > longest) rows.push(i);
-    return rows;
+    const steps = times.filter((t, i) => i > 0 && t > times[i - 1]).length; // several points may have one time
+    const mean = steps > 1 ? (times[times.length - 1] - times[0]) / steps : 0;
+    const longest = Math.max(GAP_S, GAP_STEPS * mean);
+    return new Set(times.flatMap((t, i) => (i > 0 && t - times[i - 1] > longest ? [i] : [])));
   }
 
   // Insert a gap into a line at each of these rows.
-  function broken(values, rows) {
-    if (rows.length === 0) return values;
-    const made = values.slice();
-    for (const row of rows.slice().reverse()) made.splice(row, 0, null);
-    return made;
-  }
+  const broken = (values, rows) => values.flatMap((value, i) => (rows.has(i) ? [null, value] : [value]));
 
   function band(run, series) {
     const x = column(run, series, series.x), y = column(run, series, series.y);
     const xHigh = series.x_high ? column(run, series, series.x_high) : x;
     const yHigh = series.y_high ? column(run, series, series.y_high) : y;
-    const ends = new Set(gaps(column(run, series, "t_s")));
-    const outline = { x: [], y: [] };
+    const ends = gaps(column(run, series, "t_s"));
+    const outline = [];
     let low = [], high = [];
     const close = () => {
-      for (const [px, py] of low.concat(high.reverse())) { outline.x.push(px); outline.y.push(py); }
-      if (low.length) { outline.x.push(null); outline.y.push(null); }
+      if (low.length) outline.push(...low, ...high.reverse(), [null, null]);
       low = [];
       high = [];
     };
@@ -78,7 +77,8 @@ const Plots = (() => {
     }
     close();
     return {
-      type: "scatter", mode: "lines", fill: "toself", hoverinfo: "skip", line: { width: 0 }, ...outline, series,
+      type: "scatter", mode: "lines", fill: "toself", hoverinfo: "skip", line: { width: 0 }, series,
+      x: outline.map((point) => point[0]), y: outline.map((point) => point[1]),
       fillcolor: transparent(colour(series.colour), 0.16), name: series.label, showlegend: series.label !== "",
       edges: { x, y, ...(series.x_high ? { xHigh } : { yHigh }) },
     };
@@ -91,7 +91,7 @@ const Plots = (() => {
     const times = column(run, series, "t_s");
     const first = plot.from_start ? start(times) : 0;
     const cells = (name) => column(run, series, name).slice(first);
-    const ends = series.style in DASHES ? gaps(times.slice(first)) : [];
+    const ends = series.style in DASHES ? gaps(times.slice(first)) : new Set();
     const trace = {
       type: "scatter", name: series.label, x: broken(cells(series.x), ends), y: broken(cells(series.y), ends), series,
       hovertemplate: "%{x:.4~g}, %{y:.4~g}",
@@ -155,12 +155,10 @@ const Plots = (() => {
 
   function extent(traces, axis) {
     let least = Infinity, most = -Infinity;
-    for (const trace of traces) {
-      for (const value of trace[axis]) {
-        if (missing(value)) continue; // a gap
-        if (value < least) least = value;
-        if (value > most) most = value;
-      }
+    for (const value of traces.flatMap((trace) => trace[axis])) {
+      if (missing(value)) continue; // a gap
+      if (value < least) least = value;
+      if (value > most) most = value;
     }
     return least <= most ? [least, most] : null;
   }
@@ -170,16 +168,19 @@ const Plots = (() => {
     const ends = extent(traces, name);
     if (ends === null) return [0, 1];
     let [least, most] = ends;
-    if (axis.rows && axis.rows.length) [least, most] = [-0.5, axis.rows.length - 0.5];
-    if (axis.rows && axis.rows.length) return axis.downwards ? [most, least] : [least, most];
+    const inOrder = () => (axis.downwards ? [most, least] : [least, most]);
+    if (axis.rows && axis.rows.length) {
+      [least, most] = [-0.5, axis.rows.length - 0.5];
+      return inOrder();
+    }
     if (axis.log) return [Math.log10(Math.max(least, 1e-9)) - 0.15, Math.log10(Math.max(most, 1e-9)) + 0.15];
     const lacking = Math.max(0, (axis.min_span || 1e-6) - (most - least)) / 2;
-    const margin = (name === "x" && axis.label.startsWith("time") ? 0.01 : 0.05) * (most - least + 2 * lacking);
+    const margin = (axis.time ? 0.01 : 0.05) * (most - least + 2 * lacking);
     const negative = least < 0 || axis.downwards || name === "x";
     least -= lacking + margin;
     most += lacking + margin;
     if (!negative && least < 0) [least, most] = [0, Math.max(most, axis.min_span || 0)];
-    return axis.downwards ? [most, least] : [least, most];
+    return inOrder();
   }
 
   function axisLayout(axis, traces, name) {
@@ -196,7 +197,7 @@ const Plots = (() => {
   // Return the common range of all time axes, so that simultaneous values are aligned.
   function times(runs) {
     const columns = runs.flatMap((run) => Object.values(run.tables)).map((table) => ({ x: table.t_s || [] }));
-    return range({ label: "time" }, columns, "x");
+    return range({ time: true }, columns, "x");
   }
 
   // Return true if any run has data: before that a plot cannot say why it is empty.
@@ -214,13 +215,13 @@ const Plots = (() => {
       margin: { l: letters(58), r: 8, t: 6, b: 34 }, showlegend: false, hovermode: "closest", uirevision: `${Boolean(view.follow)}`,
       font: { family: "system-ui, -apple-system, 'Segoe UI', Roboto, sans-serif", size: letters(11), color: theme("--ink") },
       paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: theme("--paper"),
-      xaxis: plot.over_time ? { ...x, range: timeRange } : x, yaxis: plot.equal ? { ...y, scaleanchor: "x", scaleratio: 1 } : y,
+      xaxis: plot.x.time ? { ...x, range: timeRange } : x, yaxis: plot.equal ? { ...y, scaleanchor: "x", scaleratio: 1 } : y,
       annotations: empty ? [{ text: view.empty, xref: "paper", yref: "paper", x: 0.5, y: 0.5, showarrow: false,
         font: { size: letters(12), color: theme("--quiet") } }] : [],
-      shapes: plot.over_time && !missing(view.at_s) ? [{ type: "line", yref: "paper", y0: 0, y1: 1, x0: view.at_s, x1: view.at_s,
+      shapes: plot.x.time && !missing(view.at_s) ? [{ type: "line", yref: "paper", y0: 0, y1: 1, x0: view.at_s, x1: view.at_s,
         line: { color: theme("--accent"), width: 2 } }] : [],
     };
-    if (plot.over_time) made.yaxis2 = { overlaying: "y", range: [0, 1], visible: false, fixedrange: true };
+    if (plot.x.time) made.yaxis2 = { overlaying: "y", range: [0, 1], visible: false, fixedrange: true };
     return made;
   }
 
@@ -232,7 +233,7 @@ const Plots = (() => {
     if (panel.section.hidden) return Promise.resolve();
     const empty = begun(runs) ? plot.empty : NO_DATA;
     const made = layout(plot, traces, timeRange, { ...view, follow: panel.follow, empty });
-    const events = plot.over_time && !several && runs[0].marks.length > 0;
+    const events = plot.x.time && !several && runs[0].marks.length > 0;
     showLegend(panel.legend, several ? comparedChips(plot) : chips(plot, traces, events, runs[0]));
     return Plotly.react(panel.place, events ? traces.concat(marks(runs[0])) : traces, made, CONFIG);
   }
@@ -240,26 +241,23 @@ const Plots = (() => {
   // Return the range of both axes of a plot over several runs, to draw each by itself on equal axes.
   function ranges(plot, runs) {
     const traces = runs.flatMap((run) => ofOneRun(plot, run));
-    return [plot.over_time ? times(runs) : range(plot.x, traces, "x"), range(plot.y, traces, "y")];
+    return [plot.x.time ? times(runs) : range(plot.x, traces, "x"), range(plot.y, traces, "y")];
   }
 
   // --- legend -------------------------------------------------------------------------------------------------------
 
   function chip(label, hex, style) {
-    const item = document.createElement("li");
-    const sample = document.createElement("span");
-    sample.className = `line ${style}`;
+    const item = element("li", ""), sample = element("span", "", `line ${style}`);
     sample.style.color = colour(hex);
-    item.append(sample, document.createTextNode(label));
+    item.append(sample, label);
     return item;
   }
 
   // Return the entries of a legend: what is drawn, once each.
   function chips(plot, traces, events, run) {
-    const entries = new Map();
-    for (const { series } of traces) if (series.label) entries.set(series.label, [series.label, series.colour, series.style]);
-    const ordered = [...plot.series, ...plot.levels].filter((one) => entries.has(one.label)).map((one) => entries.get(one.label));
-    const made = [...new Map(ordered.map((entry) => [entry[0], entry])).values()];
+    const drawn = new Map(traces.map(({ series }) => [series.label, [series.label, series.colour, series.style]]));
+    const labels = new Set([...plot.series, ...plot.levels].map((one) => one.label).filter((label) => label && drawn.has(label)));
+    const made = [...labels].map((label) => drawn.get(label));
     if (events) made.push(["event", MARK, "mark"]);
     if (plot.drifts && run.values.since_s !== undefined) made.push([`since t = ${run.values.since_s} s`, null, ""]);
     return made;
@@ -321,27 +319,22 @@ const Plots = (() => {
     const content = element("div", "");
     if (plot.note) content.append(element("p", plot.note));
     for (const format of ["png", "svg", "csv"]) {
-      const button = element("button", format.toUpperCase(), "small");
-      button.type = "button";
-      button.setAttribute("aria-label", `Save "${plot.title}" as ${format.toUpperCase()}`);
-      button.addEventListener("click", () => save(panel, plot, format));
-      content.append(button);
+      const name = format.toUpperCase();
+      content.append(button(name, () => save(panel, plot, format), { label: `Save "${plot.title}" as ${name}` }));
     }
     made.append(content);
     return made;
   }
 
   function followButton(panel, onChange) {
-    const button = element("button", "", "small");
-    const show = () => { button.textContent = panel.follow ? "whole track" : "follow"; };
-    button.type = "button";
-    button.addEventListener("click", () => {
+    const show = () => { made.textContent = panel.follow ? "whole track" : "follow"; };
+    const made = button("", () => {
       panel.follow = !panel.follow;
       show();
       onChange();
     });
     show();
-    return button;
+    return made;
   }
 
   // Add a panel to `parent` and return it: {section, legend, place, follow, of}. A title that is not that of the plot
@@ -389,5 +382,5 @@ const Plots = (() => {
     darkness.addEventListener("change", redraw);
   }
 
-  return { frames, panelOf, draw, chip, times, ranges, useColours, element, MARK };
+  return { frames, panelOf, draw, chip, times, ranges, useColours, element, button };
 })();

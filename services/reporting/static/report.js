@@ -51,10 +51,7 @@
     const heads = [...table.querySelectorAll("th")];
     heads.forEach((head, column) => {
       if (!head.textContent) return;
-      const button = Plots.element("button", head.textContent, "sort");
-      button.type = "button";
-      head.replaceChildren(button);
-      button.addEventListener("click", () => {
+      head.replaceChildren(Plots.button(head.textContent, () => {
         const down = head.getAttribute("aria-sort") === "ascending";
         heads.forEach((one) => one.removeAttribute("aria-sort"));
         head.setAttribute("aria-sort", down ? "descending" : "ascending");
@@ -64,7 +61,7 @@
         const sorted = [...body.rows].sort((a, b) => (down ? -1 : 1) * compare(key(a), key(b)));
         // A row without a value stays at the end in both orders.
         body.append(...sorted.filter((row) => key(row) !== null), ...sorted.filter((row) => key(row) === null));
-      });
+      }, { kind: "sort" }));
     });
   }
 

@@ -86,7 +86,7 @@ def _panel(campaign: Campaign, of: Scores, key: str) -> tuple[Plot, dict[str, Co
         }
         series.append(Series("", key, "x", "mean", palette.ESTIMATE, Style.POINT))
     x, y = Axis(key, log=isinstance(over, Range) and over.scale == "log", rows=rows), Axis(campaign.minimise)
-    plot = Plot(name=key, title=key, x=x, y=y, over_time=False, group="Effect of each field", series=tuple(series))
+    plot = Plot(name=key, title=key, x=x, y=y, group="Effect of each field", series=tuple(series))
     return plot, tables
 
 

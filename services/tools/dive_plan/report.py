@@ -15,7 +15,6 @@ from services.recording.acceptance import accepted
 from services.recording.reader import StoredMessage
 from services.reporting import report
 from services.reporting.plots import palette
-from services.reporting.plots.catalogue import TIME
 from services.reporting.plots.description import Axis, Level, Plot, Series, Style
 from services.reporting.plots.table import Columns
 from services.runtime.console import counted
@@ -100,7 +99,6 @@ def write(of: DivePlan, out: Path) -> None:
         Plot(
             name="drift",
             title="Drift since submergence, one axis",
-            x=TIME,
             y=Axis("standard deviation (m)"),
             group=AT_THE_END,
             series=(
@@ -128,7 +126,7 @@ def _by_row(name: str, title: str, label: str, values: Mapping[str, float]) -> P
     """Return the plot of one value for each row."""
     series = (Series("", name, "value", "row", palette.OTHER, Style.DOT),)
     rows = Axis("", downwards=True, rows=tuple(values))
-    return Plot(name=name, title=title, x=Axis(label), y=rows, over_time=False, group=AT_THE_END, series=series)
+    return Plot(name=name, title=title, x=Axis(label), y=rows, group=AT_THE_END, series=series)
 
 
 def _names(of: DivePlan) -> list[str]:

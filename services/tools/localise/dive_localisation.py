@@ -198,7 +198,7 @@ def write(outcome: Outcome, folder: Path) -> str:
     try:
         plot.write(outcome, folder / "localise.html")
     except NoPlotly as error:
-        return f"no plots: {error}: pip install plotly (extra viz)"
+        return f"no plots: {error}"
     return ""
 
 

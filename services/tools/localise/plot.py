@@ -10,7 +10,6 @@ import numpy as np
 from ltv_mpc.messages import Array
 from services.reporting import report
 from services.reporting.plots import palette
-from services.reporting.plots.catalogue import TIME
 from services.reporting.plots.description import Axis, Plot, Series, Style
 from services.reporting.plots.newest import outline
 from services.reporting.plots.table import Columns, short
@@ -26,7 +25,6 @@ PLOTS = (
         title="Horizontal track",
         x=Axis("east (m)"),
         y=Axis("north (m)"),
-        over_time=False,
         equal=True,
         group=RESULT,
         series=(
@@ -39,7 +37,6 @@ PLOTS = (
     Plot(
         name="error",
         title="Position error against bottom track",
-        x=TIME,
         y=Axis("distance (m)"),
         group=RESULT,
         series=(
@@ -55,7 +52,6 @@ PLOTS = (
         title="Current at the end, with 1 sigma",
         x=Axis("current (m/s)"),
         y=Axis("depth (m)", downwards=True),
-        over_time=False,
         group=RESULT,
         series=tuple(
             series

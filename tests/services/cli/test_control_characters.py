@@ -16,7 +16,7 @@ from rich.console import Console as RichConsole
 
 from ltv_mpc.errors import printable
 from services.cli.app import run
-from services.reporting.terminal import screen_for
+from services.reporting.terminal import RunScreen
 from services.runtime.console import Console, PrintedStream
 from tests.services.reporting.test_terminal import CONTROLLER, FULL, LOCALISATION
 from tests.services.runtime.test_console import Terminal
@@ -97,7 +97,7 @@ def test_a_screen_shows_no_control_character_and_no_markup_of_a_message(
     for period in ("REDRAW_S", "LINE_S"):
         monkeypatch.setattr(f"services.reporting.terminal.{period}", 0.0)
     out = io.StringIO()
-    screen = screen_for(HOSTILE, [], RichConsole(file=out, width=200, height=24, force_terminal=True))
+    screen = RunScreen(HOSTILE, [], RichConsole(file=out, width=200, height=24, force_terminal=True))
     screen.wait(HOSTILE, 0.5)
     screen.say(HOSTILE)
     screen.update(view)

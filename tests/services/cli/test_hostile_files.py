@@ -26,7 +26,7 @@ from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.references.geodesy import Origin
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.security import credentials
-from services.cli.mavlink import _key
+from services.cli.edges import _key
 from services.processes import checkpoint
 from services.recording import export, info, recover
 from services.recording.records import MAGIC

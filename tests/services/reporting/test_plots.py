@@ -17,8 +17,8 @@ from services.recording.writer import RunWriter
 from services.reporting.plots import analysis
 from services.reporting.plots.catalogue import PLOTS, REVIEW
 from services.reporting.plots.collector import INNOVATIONS, Collector, nis_deviation
+from services.reporting.plots.delays import Percentiles
 from services.reporting.plots.description import Style
-from services.reporting.plots.percentiles import Percentiles
 from services.reporting.plots.recorded import read
 from services.reporting.plots.table import Columns, Table
 from tests.services.reporting import synthetic_run

@@ -31,7 +31,7 @@ from ltv_mpc.messages import (
     SolveStatus,
     Truth,
 )
-from services.reporting.terminal import LiveScreen, PlainScreen, bar, screen_for
+from services.reporting.terminal import RunScreen, bar, is_plain
 from services.supervisor.screen import ORDER, LiveView
 from tests.services.bus.messages import EXAMPLES
 from tests.services.words import status
@@ -134,7 +134,7 @@ EMPTY = LiveView(t_ns=0, start_ns=-S, end_ns=200 * S, speed=10.0, wall_s=0.0, re
 
 def drawn(view: LiveView, limits: Sequence[tuple[float, float]] = LIMITS) -> list[str]:
     console = Console(width=80, height=24, file=io.StringIO())
-    screen = LiveScreen("a title that is much longer than a line of a terminal " * 3, limits, console)
+    screen = RunScreen("a title that is much longer than a line of a terminal " * 3, limits, console)
     screen.update(view)
     screen.close()
     with console.capture() as capture:
@@ -210,20 +210,18 @@ def test_a_bar_is_full_at_the_limit_and_points_where_the_thrust_goes() -> None:
 def test_where_nobody_looks_there_are_plain_lines(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("NO_COLOR", raising=False)
     monkeypatch.delenv("CI", raising=False)
-    pipe, terminal = Console(file=io.StringIO()), Console(file=io.StringIO(), force_terminal=True)
-    assert isinstance(screen_for("x", LIMITS, pipe), PlainScreen)
-    live = screen_for("x", LIMITS, terminal)
-    assert isinstance(live, LiveScreen)
-    live.close()
+    terminal = Console(file=io.StringIO(), force_terminal=True)
+    assert is_plain(Console(file=io.StringIO()))
+    assert not is_plain(terminal)
     for variable in ("NO_COLOR", "CI"):
         with monkeypatch.context() as patch:
             patch.setenv(variable, "1")
-            assert isinstance(screen_for("x", LIMITS, terminal), PlainScreen)
+            assert is_plain(terminal)
 
 
 def test_a_plain_line_is_one_line_without_control_characters() -> None:
     file = io.StringIO()
-    screen = PlainScreen(Console(file=file, width=80))
+    screen = RunScreen("x", LIMITS, Console(file=file, width=80))
     screen.update(FULL)
     screen.update(FULL)  # too soon for another
     screen.say("[bold]a phase")

@@ -16,7 +16,7 @@ import pytest
 
 from ltv_mpc.currents import read_prior
 from ltv_mpc.errors import ConfigError
-from services.cli.localise import localise as command
+from services.cli.dives import localise as command
 from services.tools.localise.dive_localisation import COLUMNS, localise
 from services.tools.localise.text import text as dive_text
 from tests.recorded.glider import World, dive

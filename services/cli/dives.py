@@ -1,25 +1,21 @@
-"""Command ``dive plan``: expected drift of a dive before it is made."""
+"""Panel "Your vehicle", dives: ``dive plan`` before one, ``localise`` after one."""
 
 from __future__ import annotations
 
+import contextlib
+import itertools
 from pathlib import Path
-from typing import Annotated, TypeAlias
+from typing import Annotated
 
 import typer
 
-from services.cli.options import Force, Json, SensorsFile, group, invalid, option, show
+from services.cli.options import Force, Json, SensorsFile, argument, group, invalid, option, plots_or_a_line, show
 
 dive = group("dive", "Plan a dive: expected drift and its error budget.")
 
 MAX_FIXES = 3600
 MAX_LISTED = 8
 """Largest number of fixes, and of different numbers of fixes in one plan."""
-
-
-Depth: TypeAlias = Annotated[
-    float | None,
-    typer.Option("--depth-m", metavar="D", help="Depth at the end of a vertical descent (m). Default: 40.", min=1),
-]
 
 
 @dive.command(name="plan")
@@ -34,7 +30,9 @@ def plan_(
             max=36000,
         ),
     ] = None,
-    depth_m: Depth = None,
+    depth_m: Annotated[
+        float | None, option("D", "Depth at the end of a vertical descent (m). Default: 40.", min=1)
+    ] = None,
     reference: Annotated[str | None, option("NAME|FILE", "Reference to follow instead of a vertical descent.")] = None,
     fixes: Annotated[str, option("N,...", "Satellite fixes before the dive. The first is the plan.")] = "1,10,30,120",
     limit_m: Annotated[float | None, option("L", "Drift of one axis (m) whose time is wanted.", min=0.001)] = None,
@@ -52,10 +50,9 @@ def plan_(
     these sensors allow.
     """
     import msgspec
-    from rich.console import Console
-    from rich.progress import Progress
 
     from services.recording.reader import Recording
+    from services.reporting.terminal import progress_bar
     from services.run import folder
     from services.tools.dive_plan import plan, report
 
@@ -66,21 +63,17 @@ def plan_(
     wanted.run_config()
     recorded = None if against is None else report.recorded_drift(Recording(folder.find(against)))
     written = None if out is None else folder.open_folder(out, force=force)
-    with Progress(console=Console(stderr=True)) as progress:
-        task = progress.add_task(f"dives with {sensors} sensors", total=plan.count_of_results(numbers, runs))
+    total, done = plan.count_of_results(numbers, runs), itertools.count(1)
+    with progress_bar(f"dives with {sensors} sensors") as progress:
         result = plan.plan(
-            wanted, fixes=numbers, runs=runs, limit_m=limit_m, progress=lambda count: progress.advance(task, count)
+            wanted, fixes=numbers, runs=runs, limit_m=limit_m, progress=lambda _: progress(next(done) / total)
         )
     result = msgspec.structs.replace(result, against=recorded)
     plain = show(result, lambda: report.text(result), as_json=as_json)
     if written is not None:
         (written / "dive-plan.json").write_text(plain + "\n", encoding="utf-8")
-        from services.reporting.static_files import NoPlotly
-
-        try:
+        with plots_or_a_line("no plots"):
             report.write(result, written / "dive-plan.html")
-        except NoPlotly as error:
-            typer.echo(f"no plots: {error}: pip install plotly (extra viz)", err=True)
         typer.echo(str(written), err=as_json)
     return 0
 
@@ -92,3 +85,44 @@ def _numbers(text: str) -> list[int]:
         problem = f"must be at most {MAX_LISTED} whole numbers from 1 to {MAX_FIXES}, as in 1,10,30"
         raise invalid("option --fixes", problem, value=text)
     return [int(part) for part in parts]
+
+
+def localise(
+    file: Annotated[Path, argument("FILE.PD0", "PD0 file of a Teledyne RDI instrument.")],
+    surface_fixes: Annotated[
+        int, option("N", "Number of first ensembles whose bottom track is used.", min=0, max=100000)
+    ] = 10,
+    start_depth_m: Annotated[
+        float | None, option("D", "Start at the first ensemble at or below this depth.", min=0, max=12000)
+    ] = None,
+    head: Annotated[str | None, option("up|down", "Head to use, of two. Default: that with more ensembles.")] = None,
+    as_json: Json = False,
+    force: Force = False,
+    out: Annotated[Path | None, option("DIR", "Also write track, current profile, result and plot here.")] = None,
+) -> int:
+    """Localise a recorded ADCP dive that has no inertial unit.
+
+    Bottom track replaces the fix at the surface during the first ensembles; later it is the reference with which the
+    track is compared.
+    """
+    from ltv_mpc.errors import ConfigError
+    from services.reporting.terminal import progress_bar
+    from services.run import folder
+    from services.tools.localise import dive_localisation as dive
+    from services.tools.localise import text
+
+    written = None if out is None else folder.open_folder(out, force=force)
+    try:
+        with progress_bar(file.name) as progress:
+            outcome = dive.localise(file, surface_fixes, start_depth_m, head, progress=progress)
+    except ConfigError:
+        if written is not None:
+            with contextlib.suppress(OSError):  # it is not empty
+                written.rmdir()
+        raise
+    show(outcome.result, lambda: text.text(outcome.result), as_json=as_json)
+    if written is not None:
+        if note := dive.write(outcome, written):
+            typer.echo(note, err=True)
+        typer.echo(str(written), err=as_json)
+    return 0
