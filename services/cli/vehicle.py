@@ -138,7 +138,7 @@ def check(
     for name, value in needing.items():
         if reference is None and value:
             raise invalid(f"option {name}", "needs --reference NAME|FILE, the mission to check")
-    loaded = Vehicle.load(file)
+    loaded, place = Vehicle.load(file), None if start is None else _place(start)
     from services.tools import mission_check, vehicle_check
 
     result = vehicle_check.check(loaded)
@@ -149,7 +149,7 @@ def check(
 
         notes: list[str] = []
         followed = references.load(reference)
-        zones, place = fence_for(loaded, followed, fence or "", notes), None if start is None else _place(start)
+        zones = fence_for(loaded, followed, fence or "", notes)
         picture = mission_check.picture(loaded, followed, zones, place)
         mission = mission_check.check_mission(
             loaded,
@@ -194,7 +194,7 @@ def identify(
         _free(out, force=force)
     from services.reporting.terminal import reading_progress
 
-    with reading_progress(source if isinstance(source, Path) else source.recording):
+    with reading_progress(source):
         report, identification = vehicle_identify.identify_run(source, loaded, known, known_yaw)
     show(report, lambda: vehicle_identify.format_text(report), as_json=as_json)
     if out is not None:
