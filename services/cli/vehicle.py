@@ -194,7 +194,7 @@ def identify(
         _free(out, force=force)
     from services.reporting.terminal import reading_progress
 
-    with reading_progress(source if isinstance(source, Path) else source.recording):
+    with reading_progress(source):
         report, identification = vehicle_identify.identify_run(source, loaded, known, known_yaw)
     show(report, lambda: vehicle_identify.format_text(report), as_json=as_json)
     if out is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import msgspec
 import numpy as np
@@ -13,15 +14,18 @@ from ltv_mpc.geofence.fence import Fence, compare_origins, hull_radius_m
 from ltv_mpc.messages import Array, Estimate, Pair
 from ltv_mpc.references import Hold, Point, Reference
 from ltv_mpc.references.limits import path_limits
-from ltv_mpc.references.schedule import WAY, Schedule
+from ltv_mpc.references.schedule import EAST, NORTH, WAY, Schedule
 from ltv_mpc.vehicle.parameters import Vehicle
 from ltv_mpc.vehicle.performance import Performance, performance, sideways_drag_N, stopping
-from services.tools import text_map
-from services.tools.bottom_check import BottomCheck, check_bottom
-from services.tools.fence_check import ZoneCheck, check_fence, distance
+from services.reporting.plots.fence import boundary
+from services.tools.path_check import BottomCheck, ZoneCheck, check_bottom, check_fence, distance
 
 LABEL_WIDTH = 38
 """Least width of the first column of the table."""
+
+COLUMNS, ROWS = 72, 24
+ASPECT = 2.0
+"""Height of a letter over its width."""
 
 
 class MissionCheck(msgspec.Struct, frozen=True, kw_only=True):
@@ -74,14 +78,19 @@ def check_mission(
     drift_m = None if can.turn_90deg_s is None else current_mps * can.turn_90deg_s
     stop = stopping(vehicle, speed_mps) if speed_mps > 0.0 else (0.0, 0.0)
     stopping_m = None if stop is None else stop[0] + current_mps * stop[1]
-    problems = _current_problems(vehicle, current_mps) + _heading_problems(vehicle, reference, current_mps, can)
     limits = limits or MotionLimits()
-    problems += _corridor_problems(reference, limits.max_cross_track_m, drift_m, current_mps)
-    problems += _depth_problems(largest, bottom if isinstance(bottom, float) else None, limits)
-    if schedule is None:
-        problems += _unchecked_problems(fence, bottom)
+    problems = [
+        *_current_problems(vehicle, current_mps),
+        *_heading_problems(vehicle, reference, current_mps, can),
+        *_corridor_problems(reference, limits.max_cross_track_m, drift_m, current_mps),
+        *_depth_problems(largest, bottom if isinstance(bottom, float) else None, limits),
+    ]
     lowest = None
-    if isinstance(bottom, Bathymetry) and schedule is not None:
+    if schedule is None:
+        why = "is not checked: the reference begins where the vehicle is; give this position with --start NORTH,EAST"
+        unchecked = {"--fence": fence is not None, "--bottom": isinstance(bottom, Bathymetry)}
+        problems += [f"{option} {why}" for option, is_given in unchecked.items() if is_given]
+    elif isinstance(bottom, Bathymetry):
         lowest, too_deep = check_bottom(bottom, schedule, limits.min_altitude_m or 0.0)
         problems += too_deep
     zones, corridor_m, needed_m, notes = [], None, None, reference.notes(vehicle)
@@ -91,7 +100,7 @@ def check_mission(
         found = check_fence(fence, hull_m, schedule, start)
         zones, duration_s = found.zones, found.duration_s
         notes += found.notes
-        problems += found.problems + _margin_problems(zones, stopping_m, speed_mps)
+        problems += [*found.problems, *_margin_problems(zones, stopping_m, speed_mps)]
         corridor_m = None if found.narrowest is None else found.narrowest[0]
         if drift_m is not None:
             needed_m = 2.0 * hull_m + 2.0 * found.widest_margin_m + drift_m
@@ -113,8 +122,37 @@ def check_mission(
 
 
 def picture(vehicle: Vehicle, reference: Reference, fence: Fence | None, start: Pair | None = None) -> str:
-    """Return a map of the reference and the fence as text, as ``check_mission`` takes them."""
-    return text_map.draw(_schedule(vehicle, reference, start)[0], fence)
+    """Return a map of the reference and the fence as text, north up: what the files were read as.
+
+    B begin, E end, * path, + keep-in, # keep-out; empty if there is nothing to draw.
+    """
+    schedule = _schedule(vehicle, reference, start)[0]
+    lines = [("+" if zone.keep_in else "#", boundary(zone)) for zone in (fence.zones() if fence else ())]
+    if schedule is not None:
+        way = schedule.table[[NORTH, EAST]].T
+        lines += [("*", way), ("B", way[:1]), ("E", way[-1:])]
+    if not lines:
+        return ""
+    places = np.concatenate([line for _, line in lines])
+    low, extent = places.min(axis=0), np.ptp(places, axis=0)
+    column_m = max(extent[1] / (COLUMNS - 1), extent[0] / (ROWS - 1) / ASPECT, 0.01)
+    rows = int(extent[0] / column_m / ASPECT) + 1
+    letters = np.full((rows, int(extent[1] / column_m) + 1), " ")
+    for letter, line in lines:
+        cells = np.rint((_dense(line, 0.5 * column_m) - low) / (column_m * ASPECT, column_m)).astype(np.int64)
+        row, column = np.minimum(cells, np.array(letters.shape) - 1).T
+        letters[rows - 1 - row, column] = letter
+    keys = {"*": "B to E path", "+": "+ keep-in", "#": "# keep-out"}
+    legend = [key for letter, key in keys.items() if letter in {letter for letter, _ in lines}]
+    scale = f"north up, {extent[1]:.3g} m east by {extent[0]:.3g} m north, a letter is {column_m:.2g} m wide"
+    return "\n".join([*("  " + "".join(row).rstrip() for row in letters), f"  {', '.join([*legend, scale])}"])
+
+
+def _dense(line: Array, step_m: float) -> Array:
+    """Return points (P, 2) along a line that are at most ``step_m`` apart."""
+    way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
+    at = np.linspace(0.0, way[-1], int(way[-1] / step_m) + 2)
+    return np.column_stack([np.interp(at, way, column) for column in line.T])
 
 
 def table(of: MissionCheck) -> str:
@@ -162,94 +200,77 @@ def _schedule(vehicle: Vehicle, reference: Reference, start: Pair | None) -> tup
     return Schedule(np.hstack([column, column]), 0.0), column[-1], 0.0
 
 
-def _unchecked_problems(fence: Fence | None, bottom: float | Bathymetry | None) -> list[str]:
-    """Return what is not checked because the position of the reference is not known."""
-    why = "is not checked: the reference begins where the vehicle is; give this position with --start NORTH,EAST"
-    unchecked = {"--fence": fence is not None, "--bottom": isinstance(bottom, Bathymetry)}
-    return [f"{option} {why}" for option, is_given in unchecked.items() if is_given]
+def _width_problems(narrowest: Pair | None, needed_m: float, drift_m: float, current_mps: float) -> Iterator[str]:
+    """Yield where the allowed path is narrower than the width that the vehicle needs."""
+    if narrowest is not None and narrowest[0] < needed_m:
+        width_m, way_m = narrowest
+        yield (
+            f"the corridor is {width_m:.1f} m wide at {way_m:.0f} m of the path: the vehicle needs {needed_m:.1f} m, "
+            f"hull and two margins and {drift_m:.1f} m of drift while it turns into {current_mps:g} m/s"
+        )
 
 
-def _width_problems(narrowest: Pair | None, needed_m: float, drift_m: float, current_mps: float) -> list[str]:
-    """Return where the allowed path is narrower than the width that the vehicle needs."""
-    if narrowest is None or narrowest[0] >= needed_m:
-        return []
-    return [
-        f"the corridor is {narrowest[0]:.1f} m wide at {narrowest[1]:.0f} m of the path: the vehicle needs "
-        f"{needed_m:.1f} m, hull and two margins and {drift_m:.1f} m of drift while it turns into {current_mps:g} m/s"
-    ]
-
-
-def _margin_problems(zones: list[ZoneCheck], stopping_m: float | None, speed_mps: float) -> list[str]:
-    """Return the margins that are shorter than the stopping distance, of zones that the path comes that near to."""
+def _margin_problems(zones: list[ZoneCheck], stopping_m: float | None, speed_mps: float) -> Iterator[str]:
+    """Yield the margins that are shorter than the stopping distance, of zones that the path comes that near to."""
     if stopping_m is None:
-        return [f"the vehicle does not stop from {speed_mps:.2f} m/s, so no margin is long enough"]
-    return [
-        f"{zone.zone}: stopping from {speed_mps:.2f} m/s takes {stopping_m:.1f} m, margin {zone.margin_m:g} m"
-        for zone in zones
-        if stopping_m > zone.margin_m and zone.clearance_m < stopping_m
-    ]
+        yield f"the vehicle does not stop from {speed_mps:.2f} m/s, so no margin is long enough"
+        return
+    takes = f"stopping from {speed_mps:.2f} m/s takes {stopping_m:.1f} m"
+    for zone in zones:
+        if stopping_m > zone.margin_m and zone.clearance_m < stopping_m:
+            yield f"{zone.zone}: {takes}, margin {zone.margin_m:g} m"
 
 
-def _current_problems(vehicle: Vehicle, current_mps: float) -> list[str]:
-    """Return why the vehicle cannot stay in the current, or can do so only without a reserve of thrust."""
-    limits = path_limits(vehicle)
-    if current_mps < limits.cruise_mps:
-        return []
+def _current_problems(vehicle: Vehicle, current_mps: float) -> Iterator[str]:
+    """Yield why the vehicle cannot stay in the current, or can do so only without a reserve of thrust."""
+    limits, current = path_limits(vehicle), f"a current of {current_mps:g} m/s"
     if current_mps >= limits.top_mps:
-        return [
-            f"a current of {current_mps:g} m/s carries the vehicle away: full thrust holds {limits.top_mps:.2f} m/s"
-        ]
-    return [
-        f"a current of {current_mps:g} m/s takes more than 80 % of the thrust, which hold {limits.cruise_mps:.2f} m/s: "
-        f"full thrust makes {limits.top_mps - current_mps:.2g} m/s against it, without a reserve for waves and steering"
-    ]
+        yield f"{current} carries the vehicle away: full thrust holds {limits.top_mps:.2f} m/s"
+    elif current_mps >= limits.cruise_mps:
+        left = f"full thrust makes {limits.top_mps - current_mps:.2g} m/s against it"
+        yield (
+            f"{current} takes more than 80 % of the thrust, which hold {limits.cruise_mps:.2f} m/s: {left}, without a "
+            "reserve for waves and steering"
+        )
 
 
-def _heading_problems(vehicle: Vehicle, reference: Reference, current_mps: float, can: Performance) -> list[str]:
-    """Return at which angles to the current the vehicle holds a fixed heading, and what pushes it at others."""
+def _heading_problems(vehicle: Vehicle, reference: Reference, current_mps: float, can: Performance) -> Iterator[str]:
+    """Yield at which angles to the current the vehicle holds a fixed heading, and what pushes it at others."""
     if not isinstance(reference, Point | Hold) or reference.heading_deg is None or current_mps == 0.0:
-        return []
+        return
     astern_mps = can.strongest_current_stern_mps
     stern = astern_mps is None or current_mps <= astern_mps
     ends = "bow or stern into the current (0 or 180 degrees)" if stern else "the bow into the current (0 degrees)"
     oblique_N, across_N = (sideways_drag_N(vehicle, current_mps, angle_deg) for angle_deg in (45.0, 90.0))
-    return [
+    yield (
         f"heading_deg = {reference.heading_deg:g} is held in a current of {current_mps:g} m/s only with {ends}: at 45 "
         f"degrees the water pushes sideways with {oblique_N:.1f} N, at 90 degrees with {across_N:.1f} N, and the "
         "vehicle has no side thrust, so the bow turns and swings to hold the position"
-    ]
+    )
 
 
 def _corridor_problems(
     reference: Reference, half_width_m: float | None, drift_m: float | None, current_mps: float
-) -> list[str]:
-    """Return why the vehicle cannot keep to its largest cross-track distance."""
+) -> Iterator[str]:
+    """Yield why the vehicle cannot keep to its largest cross-track distance."""
     if half_width_m is None or isinstance(reference, Point | Hold):
-        return []
+        return
+    kept = f"max_cross_track_m = {half_width_m:g} is not kept: the vehicle"
     if drift_m is None:
-        return [f"max_cross_track_m = {half_width_m:g} is not kept: the vehicle cannot turn into a current"]
-    if drift_m <= half_width_m:
-        return []
-    return [
-        f"max_cross_track_m = {half_width_m:g} is not kept: the vehicle drifts {drift_m:.2f} m while it turns into "
-        f"{current_mps:g} m/s"
-    ]
+        yield f"{kept} cannot turn into a current"
+    elif drift_m > half_width_m:
+        yield f"{kept} drifts {drift_m:.2f} m while it turns into {current_mps:g} m/s"
 
 
-def _depth_problems(largest: float | None, bottom_m: float | None, limits: MotionLimits) -> list[str]:
-    """Return what is wrong with the depths of the reference."""
+def _depth_problems(largest: float | None, bottom_m: float | None, limits: MotionLimits) -> Iterator[str]:
+    """Yield what is wrong with the depths of the reference."""
     if largest is None:
-        return []
-    problems = []
-    if bottom_m is not None:
-        altitude_m = limits.min_altitude_m or 0.0
-        if largest > bottom_m - altitude_m:
-            ends = (
-                f"with min_altitude_m = {altitude_m:g} the vehicle stops at {bottom_m - altitude_m:g} m"
-                if altitude_m
-                else "no min_altitude_m stops the vehicle"
-            )
-            problems.append(f"the reference descends to {largest:g} m, the bottom is at {bottom_m:g} m: {ends}")
+        return
+    altitude_m = limits.min_altitude_m or 0.0
+    if bottom_m is not None and largest > bottom_m - altitude_m:
+        ends = "no min_altitude_m stops the vehicle"
+        if altitude_m:
+            ends = f"with min_altitude_m = {altitude_m:g} the vehicle stops at {bottom_m - altitude_m:g} m"
+        yield f"the reference descends to {largest:g} m, the bottom is at {bottom_m:g} m: {ends}"
     if limits.max_depth_m is not None and largest > limits.max_depth_m:
-        problems.append(f"the reference descends to {largest:g} m: max_depth_m = {limits.max_depth_m:g}")
-    return problems
+        yield f"the reference descends to {largest:g} m: max_depth_m = {limits.max_depth_m:g}"

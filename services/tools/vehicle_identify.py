@@ -81,50 +81,52 @@ class _Recorded(NamedTuple):
     plans: list[tuple[int, Plan]]  # with the time of publication
 
 
-def open_run(run: str) -> RunFolder | Path:
-    """Open a run (its folder, its run.mcap or ``latest``), or return the path of an autopilot's log.
+def open_run(run: str) -> Path:
+    """Return the recording of a run (its folder, its run.mcap or ``latest``), or the path of an autopilot's log.
 
     Raises ``ConfigError``.
     """
-    if run.lower().endswith(autopilot_log.SUFFIXES):
-        return Path(run)
-    return RunFolder(folder.find(run).parent)
+    return Path(run) if run.lower().endswith(autopilot_log.SUFFIXES) else folder.find(run)
 
 
-def load_vehicle(run: RunFolder | Path, name: str | None) -> Vehicle:
+def is_log(path: Path) -> bool:
+    """Return True for an autopilot's log, by its name."""
+    return path.suffix.lower() in autopilot_log.SUFFIXES
+
+
+def load_vehicle(path: Path, name: str | None) -> Vehicle:
     """Load the named vehicle, or the run's own. Raises ``ConfigError``."""
-    if name is None and not isinstance(run, RunFolder):
-        raise ConfigError("option --vehicle", "", f"is needed: {run} has no vehicle file")
-    return Vehicle.load(str(run.config("vehicle")) if isinstance(run, RunFolder) and name is None else str(name))
+    if name is None and is_log(path):
+        raise ConfigError("option --vehicle", "", f"is needed: {path} has no vehicle file")
+    return Vehicle.load(name or str(RunFolder(path.parent).config("vehicle")))
 
 
 def identify_run(
-    run: RunFolder | Path, vehicle: Vehicle, known: Known, known_yaw: KnownYaw
+    path: Path, vehicle: Vehicle, known: Known, known_yaw: KnownYaw
 ) -> tuple[IdentifyReport, Identification]:
-    """Identify the vehicle from the run. Raises ``ConfigError`` if no vehicle can be fitted to it."""
+    """Identify the vehicle from a recording or a log. Raises ``ConfigError`` if no vehicle can be fitted to it."""
+    log = autopilot_log.read(path, vehicle) if is_log(path) else None
+    recorded = _recorded(path) if log is None else _Recorded(log.estimates, [], [])
+    estimates = [vehicle.reference_point.to_origin(estimate) for estimate in recorded.estimates]
     try:
-        if isinstance(run, RunFolder):
-            recorded = _recorded(run.recording)
-            estimates = [vehicle.reference_point.to_origin(estimate) for estimate in recorded.estimates]
-            motion, notes = motion_of(vehicle, estimates, recorded.applied, recorded.plans), []
-            thrust_from = "plan" if motion.thrust is None else "applied"
+        if log is None:
+            motion = motion_of(vehicle, estimates, recorded.applied, recorded.plans)
         else:
-            log = autopilot_log.read(run, vehicle)
-            estimates = [vehicle.reference_point.to_origin(estimate) for estimate in log.estimates]
-            motion, notes, thrust_from = motion_of_log(estimates, log), log.notes, "pwm"
+            motion = motion_of_log(estimates, log)
         identification = identify(vehicle, motion, known, known_yaw)
     except CannotIdentify as error:
         problem = "does not excite the vehicle enough" if isinstance(error, NotEnoughMotion) else "cannot be fitted"
-        raise ConfigError(name_of(run), "", f"{problem}: {error}") from None
+        raise ConfigError(name_of(path), "", f"{problem}: {error}") from None
+    by_report = "plan" if motion.thrust is None else "applied"
     u, v, r = identification.sd.tolist()
     report = IdentifyReport(
-        run=str(run.path if isinstance(run, RunFolder) else run),
+        run=str(path.parent if log is None else path),
         vehicle=vehicle.name,
         seconds=identification.seconds,
         estimates=len(motion.t_s),
         left_out_s=_left_out_s(estimates, len(motion.t_s)),
         segments=identification.segments,
-        input=thrust_from,
+        input=by_report if log is None else "pwm",
         known=(known, known_yaw),
         current_mps=(float(identification.current_mps[0]), float(identification.current_mps[1])),
         current_half_mps=(float(identification.current_half_mps[0]), float(identification.current_half_mps[1])),
@@ -135,14 +137,14 @@ def identify_run(
             for coefficient in identification.coefficients
             if not coefficient.excited and not coefficient.declared
         ],
-        warnings=[*notes, *identification.warnings],
+        warnings=[*(log.notes if log else ()), *identification.warnings],
     )
     return report, identification
 
 
-def name_of(run: RunFolder | Path) -> str:
+def name_of(path: Path) -> str:
     """Return the name of a run or a log in errors."""
-    return f"run {run.recording}" if isinstance(run, RunFolder) else f"log {run}"
+    return f"{'log' if is_log(path) else 'run'} {path}"
 
 
 def motion_of_log(estimates: list[Estimate], log: AutopilotLog) -> Motion:
@@ -299,12 +301,12 @@ def _sd(estimates: list[Estimate]) -> Array:
     return np.maximum(np.sqrt([velocity, velocity, float(mean[YAW_RATE])]), MIN_SD)
 
 
-def identified_vehicle(run: RunFolder | Path, vehicle: Vehicle, identification: Identification) -> Vehicle:
+def identified_vehicle(path: Path, vehicle: Vehicle, identification: Identification) -> Vehicle:
     """Return the vehicle with the identified coefficients. Raises ``ConfigError`` if a vehicle file rejects them."""
     try:
         return with_coefficients(vehicle, identification.coefficients)
     except ValueError as error:  # such as limits scaled beyond their bounds
-        raise ConfigError(name_of(run), "", f"fits no vehicle that a file accepts: {error}") from None
+        raise ConfigError(name_of(path), "", f"fits no vehicle that a file accepts: {error}") from None
 
 
 def format_text(report: IdentifyReport) -> str:

@@ -21,7 +21,6 @@ from ltv_mpc.messages import (
     Plan,
 )
 from ltv_mpc.vehicle.parameters import Vehicle
-from services.edges.applied import AppliedReporter
 from services.edges.edge import Edge, LossCounter, Outgoing, Output, Received, Refused
 from services.edges.mavlink.actuation import Overrides, State
 from services.edges.mavlink.autopilot import Autopilot
@@ -29,6 +28,7 @@ from services.edges.mavlink.codec import COMPONENT, Codec, frames_of
 from services.edges.mavlink.download import ListRefused
 from services.edges.mavlink.mission import NOTICE, WARNING, MissionFollower
 from services.edges.mavlink.navigation import MS, Accuracy, Navigation
+from services.edges.plan_follower import AppliedReporter
 
 INTERVALS_US = {"SYSTEM_TIME": (2, 1_000_000), "ATTITUDE": (30, 50_000), "LOCAL_POSITION_NED": (32, 100_000),
                 "MISSION_CURRENT": (42, 1_000_000), "GPS_GLOBAL_ORIGIN": (49, 1_000_000),

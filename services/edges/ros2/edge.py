@@ -19,11 +19,10 @@ from ltv_mpc.messages import (
     Obstacles,
     Plan,
 )
-from services.edges.applied import AppliedReporter
 from services.edges.edge import Edge, LossCounter, Outgoing, Output, Received, Refused
+from services.edges.plan_follower import AppliedReporter
 from services.edges.ros2 import cdr, conversions
 from services.edges.ros2.conversions import Settings
-from services.edges.ros2.markers import zones_of
 from services.edges.ros2.middleware import Attachment
 from services.edges.ros2.odometry import estimate_of, stamp_ns
 from services.edges.ros2.topics import ACTIONS, BY_NAME, SERVICE
@@ -126,7 +125,7 @@ class Ros2Edge(Edge):
                 array = conversions.diagnostics_of(message, self._fence, refused, t_ns, self._settings)
                 return [_frame("diagnostics", array)]
             case FenceInForce():
-                return [_frame("zones", zones_of(message, self._settings))]
+                return [_frame("zones", conversions.zones_of(message, self._settings))]
             case Estimate(current=CurrentProfile() as profile) if now_us >= self._water_us + WATER_US:
                 self._water_us = now_us
                 return [_frame("water", conversions.cloud_of(message, profile, self._settings))]

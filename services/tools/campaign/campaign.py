@@ -25,8 +25,7 @@ from services.tools.batch import results_store
 from services.tools.batch.executor import MAX_LOSSES, run_each
 from services.tools.batch.results_store import ResultsStore
 from services.tools.campaign import trial
-from services.tools.campaign.file import Campaign, Point, Range, points, value_at
-from services.tools.campaign.keys import Value
+from services.tools.campaign.file import Campaign, Point, Range, Value, points, value_at
 from services.tools.campaign.trial import Base, Row, Trial, row_of, run_config, version_of
 
 FILE, BASE = "campaign.toml", "base"

@@ -26,7 +26,8 @@
     vehicle.dry_mass_kg = 3
     vehicle.thruster.port.arm_m = 1
 
-Keys are those of a run's scenario.toml, and those of its vehicle's and reference's files (keys.py).
+Keys are those of a run's scenario.toml, and those of its vehicle's and reference's files with their name before them,
+``vehicle.surge.mass_kg``, ``reference.descent_rate_mps``.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ import math
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Literal, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias
 
 import msgspec
 import numpy as np
@@ -45,11 +46,35 @@ from scipy.stats import qmc
 
 from ltv_mpc import config
 from ltv_mpc.errors import ConfigError
+from ltv_mpc.references import Reference
 from ltv_mpc.settings_schema import Type, flat, is_text, scalar_fields, suggestion
-from services.tools.campaign.keys import KINDS, Value
+from ltv_mpc.vehicle.parameters import Vehicle
 from sim.evaluation.summary import Summary
+from sim.scenario import Scenario
 
+Value: TypeAlias = bool | int | float | str
+
+VEHICLE, REFERENCE = "vehicle", "reference"
 MAX_RUNS = 10_000_000
+
+
+def _with_optional(kind: Any, prefix: str) -> Iterator[tuple[str, Type]]:
+    """Generate the scalar fields, also those of tables that may be left out."""
+    for key, found in scalar_fields(kind).items():
+        inner = getattr(found, "types", ())
+        tables = [x for x in inner if isinstance(x, inspect.StructType)]
+        if tables:
+            yield from _with_optional(tables[0].cls, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", found
+
+
+KINDS: dict[str, Type] = {
+    **{key: kind for key, kind in scalar_fields(Scenario).items() if key not in ("made_by", "title", "run.seed")},
+    **dict(_with_optional(Vehicle, f"{VEHICLE}.")),
+    **{key: kind for one in Reference.__args__ for key, kind in _with_optional(one, f"{REFERENCE}.")},
+}
+"""Types of the fields that a campaign may set, by key."""
 
 
 class _Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -192,7 +217,7 @@ Problem: TypeAlias = tuple[str, str, object]
 
 
 def _problems(campaign: Campaign) -> Iterator[Problem]:
-    """Yield what is wrong by the rules that concern several fields; a problem is told only without those before it."""
+    """Yield what is wrong by the rules that concern several fields; the first one is the error."""
     grid, table_of = campaign.design.kind == "grid", dict[str, str]()
     for table, keys in (("set", campaign.settings), ("vary", campaign.vary), ("cross", campaign.cross)):
         names = {*KINDS, *(campaign.scale if table != "set" else ())}

@@ -13,8 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from msgspec import inspect
 
-from services.tools.campaign.file import Campaign, Range, metrics
-from services.tools.campaign.keys import KINDS
+from services.tools.campaign.file import KINDS, Campaign, Range, metrics
 from services.tools.campaign.trial import COUNTS, TIMING, Row
 
 RESULTS, TIMES = "results.parquet", "timing.parquet"

@@ -21,6 +21,7 @@ from typing import Any, NamedTuple, TypeAlias
 import msgspec
 
 import services
+from ltv_mpc import config
 from ltv_mpc.control import solvers
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.errors import ConfigError, one_line
@@ -31,9 +32,7 @@ from ltv_mpc.vehicle.parameters import Vehicle
 from services.run.provenance import provenance_table
 from services.run.run_config import Override, RunConfig, resolve
 from services.tools import lockstep_run
-from services.tools.campaign import keys
-from services.tools.campaign.file import Point, metrics
-from services.tools.campaign.keys import Value
+from services.tools.campaign.file import REFERENCE, VEHICLE, Point, Value, metrics
 
 Base: TypeAlias = tuple[tuple[str, str], ...]
 """Files of a run's folder, as (path, text), from ``RunConfig.files``."""
@@ -103,28 +102,53 @@ def run_config(base: Base, settings: Mapping[str, Value], factors: Mapping[str, 
     plain = _with_settings(base, settings, seed)
     if not factors:
         return plain
+    tables = {VEHICLE: plain.vehicle, REFERENCE: plain.reference, "controller": plain.controller}
+    values = flat(msgspec.to_builtins(plain.scenario) | msgspec.to_builtins(tables))
     scaled = dict(settings)
     for key, factor in factors.items():
-        value = keys.value_of(plain, key)
-        if value is None:
+        if values.get(key) is None:
             raise ConfigError("campaign", key, "has no base value to scale")
-        scaled[key] = float(value) * factor
+        scaled[key] = float(values[key]) * factor
     return _with_settings(base, scaled, seed)
 
 
 def _with_settings(base: Base, settings: Mapping[str, Value], seed: int) -> RunConfig:
     own = [
         f"{key}={str(value).lower() if isinstance(value, bool) else value}"
-        for key, value in keys.of_scenario(settings).items()
+        for key, value in _of_scenario(settings).items()
     ]
     here = resolve(str(_folder(base) / "scenario.toml"), [Override("campaign", [*own, f"run.seed={seed}"])])
-    if of_vehicle := keys.of(keys.VEHICLE, settings):
-        vehicle = keys.with_values(here.vehicle, Vehicle, of_vehicle, keys.VEHICLE)
+    if of_vehicle := _of(VEHICLE, settings):
+        vehicle = _with_values(here.vehicle, Vehicle, of_vehicle, VEHICLE)
         here = replace(here, vehicle=vehicle, controller=settled(here.scenario.controller, vehicle, source="campaign"))
         solvers.make(here.vehicle, here.controller)
-    if of_reference := keys.of(keys.REFERENCE, settings):
-        here = replace(here, reference=keys.with_values(here.reference, Reference, of_reference, keys.REFERENCE))
+    if of_reference := _of(REFERENCE, settings):
+        here = replace(here, reference=_with_values(here.reference, Reference, of_reference, REFERENCE))
     return here
+
+
+def _of(owner: str, settings: Mapping[str, Value]) -> dict[str, Value]:
+    """Select the settings of ``vehicle`` or ``reference``, by the key within its file."""
+    return {key.removeprefix(f"{owner}."): value for key, value in settings.items() if key.startswith(f"{owner}.")}
+
+
+def _of_scenario(settings: Mapping[str, Value]) -> dict[str, Value]:
+    """Select the settings of the scenario."""
+    return {key: value for key, value in settings.items() if not key.startswith((f"{VEHICLE}.", f"{REFERENCE}."))}
+
+
+def _with_values(struct: Any, kind: Any, values: Mapping[str, Value], owner: str) -> Any:
+    """Return ``struct``, of type ``kind``, with the values at dotted keys replaced. Raises ``ConfigError``."""
+    table = msgspec.to_builtins(struct)
+    for key, value in values.items():
+        *outer, last = key.split(".")
+        inner = table
+        for name in outer:
+            if inner.get(name) is None:
+                raise ConfigError("campaign", f"{owner}.{key}", f"the scenario's {owner} has no such table")
+            inner = inner[name]
+        inner[last] = value
+    return config.parse({k: v for k, v in table.items() if v is not None}, kind, source=f"campaign: {owner}")
 
 
 @lru_cache(maxsize=4)

@@ -17,9 +17,8 @@ from ltv_mpc import config, references
 from ltv_mpc.messages import Acknowledgement, Action, Authority, Command
 from ltv_mpc.references.mission_items import DRIVEN
 from services.edges.edge import Outgoing, Received
-from services.edges.mavlink.lists import Mission, mission_of
-from services.edges.mavlink.mission import MissionFollower, Progress
-from tests.foreign_plant.mavlink_flight import MavlinkFlight
+from services.edges.mavlink.mission import Mission, MissionFollower, Progress, mission_of
+from tests.foreign_plant.mavlink_flight import BAD, MavlinkFlight
 from tests.services.edges.mavlink.items import ORIGIN, codec, item
 from tests.services.edges.plans import plan
 
@@ -68,25 +67,6 @@ def test_each_command_is_driven_or_refused_by_number_and_name(number: int, dives
     else:
         with pytest.raises(ValueError, match=rf"mission: item 2 {NAV_CONDITION_DO[number]} \({number}\)"):
             mission(*items, dives=dives)
-
-
-def test_each_waypoint_has_its_own_speed_and_its_wait() -> None:
-    """The mission of ``cases/mission.waypoints``: speeds by leg, a loiter of 20 s, a spline, and the way back."""
-    found = mission(
-        item(1, 178, 1.0, 0.3, -1.0),
-        item(2, 16, north_m=22.0),
-        item(3, 19, 20.0, north_m=22.0, east_m=28.0),
-        item(4, 82, north_m=11.0, east_m=42.0),
-        item(5, 178, 1.0, 1.2, -1.0),
-        item(6, 16, east_m=28.0),
-        item(7, 20),
-    )
-    way = read(found.toml)
-    assert way.speed_mps == 0.3
-    assert [place.speed_mps for place in way.waypoints] == [None, None, 1.2, None, None]
-    assert [place.wait_s for place in way.waypoints] == [0.0, 20.0, 0.0, 0.0, 0.0]
-    assert numbers(found) == [2, 3, 4, 6, 7]
-    np.testing.assert_allclose(found.places, [(22, 0), (22, 28), (11, 42), (0, 28), (0, 0)], atol=0.02)
 
 
 def test_a_single_place_is_driven_at_the_speed_of_the_mission() -> None:
@@ -267,8 +247,6 @@ PLACES = (HOME, item(1, 16, north_m=10.0), item(2, 16, north_m=10.0, east_m=7.0)
 
 
 def test_a_changed_mission_is_followed_once_on_a_bad_link() -> None:
-    from tests.foreign_plant.scenarios.mavlink import BAD
-
     flight = MavlinkFlight(faults=BAD)
     flight.fly(3.0)
     flight.autopilot.lists[0] = list(PLACES)

@@ -135,19 +135,6 @@ def test_with_a_worker_killed_interrupted_and_gone_on_with_it_gives_the_same_byt
     assert results(out) == results(finished)
 
 
-def test_the_best_point_has_the_smallest_mean_and_others_are_paired_with_it(
-    finished: Path, file: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    rows = pq.read_table(finished / "results.parquet").to_pylist()
-    mean = {p: sum(r["tracking_error_m.mean"] for r in rows if r["point"] == p) / 3 for p in range(4)}
-    best = told(capsys, file, "--out", finished)["best"]
-    assert [row["point"] for row in best] == sorted(mean, key=lambda p: mean[p])
-    assert best[0]["over_best"] is None
-    for row in best[1:]:
-        assert row["over_best"]["mean"] == pytest.approx(mean[row["point"]] - mean[best[0]["point"]])
-        assert row["over_best"]["low"] <= row["over_best"]["mean"] <= row["over_best"]["high"]
-
-
 def test_runs_that_cannot_be_made_are_listed_and_the_rest_goes_on(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -192,45 +179,25 @@ def test_a_folder_of_another_campaign_is_refused(
 # --- a cluster --------------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def cluster(tmp_path: Path) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
-    """Start a scheduler on loopback with two workers, without a nanny that would restart them."""
-    pytest.importorskip("distributed")
-    env = os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "PYTHONWARNINGS": "ignore"}
-    place = tmp_path / "scheduler.json"
-    dask = [sys.executable, "-m", "dask"]
-    here = ["--host", "127.0.0.1", "--no-dashboard"]
-    alone = ["--no-nanny", "--nthreads", "1", "--local-directory", str(tmp_path)]
-    commands = [
-        [*dask, "scheduler", *here, "--port", "0", "--scheduler-file", str(place)],
-        *[[*dask, "worker", *here, "--scheduler-file", str(place), *alone]] * 2,
-    ]
-    processes: list[subprocess.Popen[bytes]] = []
-    log = (tmp_path / "cluster.log").open("wb")
-    try:
-        for command in commands:
-            processes.append(subprocess.Popen(command, env=env, stdin=subprocess.DEVNULL, stdout=log, stderr=log))
-            until(lambda: place.exists() and place.read_text().endswith("}"))
-        yield json.loads(place.read_text())["address"], processes
-    finally:
-        for process in reversed(processes):
-            process.kill()
-            process.wait()
-        log.close()
-
-
 @pytest.mark.timeout(700)
 def test_a_cluster_that_loses_a_worker_on_the_way_gives_the_same_bytes(
-    file: Path, finished: Path, cluster: tuple[str, list[subprocess.Popen[bytes]]], tmp_path: Path
+    file: Path, finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    address, (_, first, _) = cluster
-    design = load(file)
+    distributed = pytest.importorskip("distributed")
+    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
+        monkeypatch.setenv(name, "1")
+    design, rows = load(file), []
     planned = campaign.plan(design, "test")
-    with campaign.open_campaign(tmp_path / "out", planned) as store:
-        rows = []
+    options = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None, "local_directory": str(tmp_path)}
+    with (
+        distributed.LocalCluster(**options) as cluster,
+        campaign.open_campaign(tmp_path / "out", planned) as store,
+    ):
+        address = cluster.scheduler_address
         for row in campaign.run(planned, store, workers=None, cluster=address, stop=lambda: False):
             rows.append(row)
-            first.kill()
+            if len(rows) == 1:
+                os.kill(cluster.workers[0].pid, signal.SIGKILL)
     assert len(lines(tmp_path / "out")) == 13
     table.write(tmp_path / "out", design, rows, pq.read_schema(finished / "results.parquet").metadata)
     assert results(tmp_path / "out") == results(finished)

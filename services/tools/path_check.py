@@ -1,20 +1,55 @@
-"""Check of a reference against a fence: what the controller makes of it, and where there is no way."""
+"""Check of a path against a fence and soundings: what the controller makes of it, and where there is no way."""
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from collections.abc import Iterator
+from typing import NamedTuple, TypeAlias
 
 import msgspec
 import numpy as np
+import numpy.typing as npt
 
+from ltv_mpc.bathymetry import Bathymetry
 from ltv_mpc.geofence.allowed_path import allowed_path
 from ltv_mpc.geofence.fence import Fence
 from ltv_mpc.geofence.route import Router
 from ltv_mpc.geofence.zones import Zones, clearances, pack_zones
 from ltv_mpc.messages import Array, Pair
-from ltv_mpc.references.schedule import EAST, NORTH, TIME, WAY, Schedule
-from services.tools.path_samples import Mask, PathSamples, sample
+from ltv_mpc.references.schedule import DEPTH, EAST, NORTH, TIME, WAY, Schedule
+
+Mask: TypeAlias = npt.NDArray[np.bool_]
+
+STEP_M = 0.25
+"""Distance between two points."""
+
+MAX_SAMPLES = 5000
+"""Largest number of steps; a longer path has longer ones."""
+
+
+class PathSamples(NamedTuple):
+    """Points of a path; a place alone counts as two points."""
+
+    points: Array  # (P, 2) north and east (m)
+    at: Array  # (P,) distance from the first point (m)
+    way: Array  # (P,) distance along the path, which does not count detours (m)
+    depth: Array  # (P,) depth (m), NaN if it is unknown
+
+    def length_where(self, holds: Mask) -> float:
+        """Return the length of the path (m) on which a condition (P,) holds."""
+        return float(self.way[-1]) / (len(self.way) - 1) * int(np.count_nonzero(holds))
+
+
+def sample(table: Array) -> PathSamples:
+    """Return points of a schedule's table at equal distances."""
+    north, east = table[NORTH], table[EAST]
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(north), np.diff(east)))])
+    at = np.linspace(0.0, along[-1], min(max(math.ceil(along[-1] / STEP_M), 1), MAX_SAMPLES) + 1)
+    points = np.column_stack([np.interp(at, along, north), np.interp(at, along, east)])
+    return PathSamples(points, at, np.interp(at, along, table[WAY]), np.interp(at, along, table[DEPTH]))
+
+
+# --- fence ---
 
 WIDE_M = 200.0
 """Free distance to a side above which a corridor counts as open."""
@@ -59,14 +94,16 @@ def check_fence(fence: Fence, hull_m: float, schedule: Schedule, start: Pair | N
     free = clearances(packed, path.points) - hull_m
     checks = [_zone(zone.label, zone.margin_m, free[:, z], path) for z, zone in enumerate(zones)]
     is_point = schedule.table[WAY, -1] == 0.0
-    problems: list[str] = []
-    notes: list[str] = []
+    problems, notes = list[str](), list[str]()
     if start is not None:
         problems += _start_problems(labels, packed.margin, clearances(packed, np.array([start]))[0] - hull_m)
     elif not is_point:
         problems += _start_problems(labels, np.zeros(len(labels)), free[0])
     lacking = free < packed.margin
-    problems += _end_problems(labels, lacking[-1], schedule, allowed, is_point=is_point)
+    if lacking[-1].any():
+        ends = "point" if is_point else "end of the path"
+        what = f"the {ends} is not allowed ({', '.join(label for z, label in enumerate(labels) if lacking[-1, z])})"
+        problems.append(_end_problem(what, schedule, allowed))
     if allowed is not schedule:
         for zone, check, no_way in zip(zones, checks, _blocked(allowed, router, lacking, path.way), strict=True):
             if check.in_margin_m > 0.0:
@@ -100,31 +137,22 @@ def _zone(label: str, margin_m: float, free: Array, path: PathSamples) -> ZoneCh
     )
 
 
-def _start_problems(labels: list[str], margin: Array, free: Array) -> list[str]:
-    """Return why the vehicle cannot begin where the hull has the distances ``free`` (Z,) from the zones."""
-    problems = []
+def _start_problems(labels: list[str], margin: Array, free: Array) -> Iterator[str]:
+    """Yield why the vehicle cannot begin where the hull has the distances ``free`` (Z,) from the zones."""
     for label, margin_m, free_m in zip(labels, margin.tolist(), free.tolist(), strict=True):
         if free_m < 0.0:
-            problems.append(f"the start is not allowed: hull {distance(free_m)} of {label}")
+            yield f"the start is not allowed: hull {distance(free_m)} of {label}"
         elif free_m < margin_m:
-            where = f"hull {distance(free_m)} from it, margin {margin_m:g} m"
-            problems.append(f"the start is in the margin of {label}: {where}")
-    return problems
+            yield f"the start is in the margin of {label}: hull {distance(free_m)} from it, margin {margin_m:g} m"
 
 
-def _end_problems(
-    labels: list[str], lacking: Mask, schedule: Schedule, allowed: Schedule, *, is_point: bool
-) -> list[str]:
-    """Return where the vehicle ends instead, if the end lacks the distance from zones, ``lacking`` (Z,)."""
-    if not lacking.any():
-        return []
-    zones = ", ".join(label for label, lacks in zip(labels, lacking, strict=True) if lacks)
-    what = f"the {'point' if is_point else 'end of the path'} is not allowed ({zones})"
+def _end_problem(what: str, schedule: Schedule, allowed: Schedule) -> str:
+    """Return where the vehicle ends instead of an end that is not allowed."""
     if allowed is schedule:
-        return [f"{what}, and no allowed point is near it"]
+        return f"{what}, and no allowed point is near it"
     end, moved = schedule.table[[NORTH, EAST], -1], allowed.table[[NORTH, EAST], -1]
     place = f"({moved[0]:.1f}, {moved[1]:.1f})"
-    return [f"{what}: the vehicle holds at {place} instead, {math.dist(end, moved):.1f} m away"]
+    return f"{what}: the vehicle holds at {place} instead, {math.dist(end, moved):.1f} m away"
 
 
 def _blocked(allowed: Schedule, router: Router, lacking: Mask, way: Array) -> Mask:
@@ -179,3 +207,66 @@ def _free(zones: Zones, points: Array, direction: Array) -> Array:
             break
         distance[going] += gap[going]
     return np.where(distance < WIDE_M, distance, math.inf)
+
+
+# --- bottom ---
+
+
+class BottomCheck(msgspec.Struct, frozen=True, kw_only=True):
+    """Altitude of the reference above the bottom of a bathymetry, where it is least."""
+
+    altitude_m: float  # negative: below the bottom
+    depth_m: float  # of the reference
+    way_m: float  # distance along the path
+    north_m: float
+    east_m: float
+    too_deep_m: float  # length of the path on which the altitude is less than min_altitude_m
+    unknown_m: float  # length of the path on which the bottom is not known
+
+    @property
+    def place(self) -> str:
+        """Place where the altitude is least, as text."""
+        return f"at {self.way_m:.0f} m of the path (north {self.north_m:.0f} m, east {self.east_m:.0f} m)"
+
+
+def check_bottom(
+    bathymetry: Bathymetry, schedule: Schedule, min_altitude_m: float
+) -> tuple[BottomCheck | None, list[str]]:
+    """Return where the altitude of a reference is least, and what is wrong with it.
+
+    Parameters
+    ----------
+    bathymetry : soundings of the bottom.
+    schedule : motion of the target, or a point as a schedule of one place.
+    min_altitude_m : altitude that is kept (m).
+
+    Returns
+    -------
+    None if the reference has no depth, or the bottom is not known below it; and the problems.
+    """
+    path = sample(schedule.table)
+    if np.isnan(path.depth).all():
+        return None, []
+    altitude = bathymetry.depths(path.points) - path.depth
+    if np.isnan(altitude).all():
+        return None, ["the bathymetry does not reach the reference"]
+    k = int(np.nanargmin(altitude))
+    bottom = BottomCheck(
+        altitude_m=float(altitude[k]),
+        depth_m=float(path.depth[k]),
+        way_m=float(path.way[k]),
+        north_m=float(path.points[k, 0]),
+        east_m=float(path.points[k, 1]),
+        too_deep_m=path.length_where(altitude < min_altitude_m),
+        unknown_m=path.length_where(np.isnan(altitude)),
+    )
+    problems = []
+    if bottom.altitude_m < min_altitude_m:
+        problems.append(
+            f"the reference is too deep for {bottom.too_deep_m:.1f} m of the path, by up to "
+            f"{min_altitude_m - bottom.altitude_m:.1f} m {bottom.place}: depth {bottom.depth_m:.1f} m, bottom "
+            f"{bottom.depth_m + bottom.altitude_m:.1f} m, min_altitude_m = {min_altitude_m:g}"
+        )
+    if bottom.unknown_m > 0.0:
+        problems.append(f"the bathymetry does not reach {bottom.unknown_m:.1f} m of the path")
+    return bottom, problems
