@@ -43,7 +43,6 @@ class Peer:
 
     name: ClassVar[str]
     solves: ClassVar[str]
-    packages: ClassVar[tuple[str, ...]]
     settings: ClassVar[str]  # what differs from the tool's defaults, and why
 
     def __init__(self, config: ResolvedConfig, limits: HorizonLimits, vehicle: Vehicle) -> None:

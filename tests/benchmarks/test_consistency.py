@@ -50,12 +50,6 @@ def test_an_instant_that_no_run_has_is_left_out():
         consistency(np.zeros((2, 3)), np.zeros((2, 3)))
 
 
-def test_a_covariance_that_is_not_positive_definite_has_no_square():
-    for P in ([[1.0, 2.0], [2.0, 1.0]], [[1.0, 0.0], [0.0, 0.0]]):
-        with pytest.raises(np.linalg.LinAlgError):
-            squared(np.ones(2), np.array(P))
-
-
 def belief_and_truth(sensors):
     """Return a belief, an error, and the truth that has it by the filter's own rule, ``Belief.apply_error``."""
     rng = np.random.default_rng(8)
