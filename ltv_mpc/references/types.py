@@ -148,7 +148,16 @@ class Hold(Station, frozen=True, kw_only=True, tag="hold"):
         return anchor.north_m, anchor.east_m
 
 
-Reference: TypeAlias = Point | Hold | Line | Waypoints | Lawnmower | Circle | Spiral | Timed
+Reference: TypeAlias = (
+    Point
+    | Hold
+    | Line
+    | Waypoints
+    | Lawnmower
+    | Circle
+    | Spiral
+    | Timed
+)  # fmt: skip
 
 
 def load(name: str) -> Reference:
