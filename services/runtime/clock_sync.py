@@ -60,8 +60,7 @@ class ClockSync:
     def __init__(self, clock: VehicleClock, *, epoch: int, input_delay_ns: int = 0) -> None:
         """``epoch``: the epoch under which this process publishes its plans."""
         self._clock = clock
-        self._epoch = epoch
-        self._input_delay_ns = input_delay_ns
+        self._epoch, self._input_delay_ns = epoch, input_delay_ns
         self._publishers: OrderedDict[int, ClockOffsetEstimator] = (
             OrderedDict()
         )  # by epoch, the one received last at the end

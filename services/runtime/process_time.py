@@ -84,6 +84,7 @@ class ProcessTime:
         self, node: Node, options: ClockOptions, *, epoch: int, publish: Callable[[Clock | RunEvent], object]
     ) -> None:
         """``epoch``: of the messages of this process. ``publish``: for a clock master, from its connection on."""
+        self.epoch = epoch
         self.clock = VehicleClock(speed=options.speed)
         self.master: ClockMaster | None = None
         if options.master is not None:

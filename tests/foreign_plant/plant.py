@@ -186,6 +186,7 @@ def main(endpoint: str, set_by_s: float = 0.0) -> None:
     config = zenoh.Config()
     for key, value in (("mode", "client"), ("connect/endpoints", [endpoint]), ("scouting/multicast/enabled", False)):
         config.insert_json5(key, json.dumps(value))
+    Hull().step((0.0, 0.0))  # loads compiled code, for which the first step in real time would wait
     hull, actuators, sender = Hull(heading_rad=1.0, current_mps=(0.12, -0.16)), Actuators(), Sender()
     hull.x[0], hull.x[1] = 1.5, -1.0
     with zenoh.open(config) as session:
