@@ -167,7 +167,7 @@ AHEAD_NS = 7_200_000_000_000
 """Its clock: two hours ahead of the host's."""
 
 
-SET_AT_S = 20.0
+SET_AT_S = 12.0
 """Time of its run at which its clock is set, if it is."""
 
 
