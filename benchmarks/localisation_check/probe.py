@@ -31,7 +31,6 @@ from sim.sensors.adcp import Profiler, beams
 from sim.sensors.compass import MagneticCompass
 from sim.sensors.imu import InertialUnit
 from sim.sensors.node import Sensors
-from sim.sensors.outlier_masks import HasOutliers
 
 LOOK_NS = 1_000_000_000
 """Period of the comparison of belief and truth."""
@@ -41,6 +40,9 @@ TRACK_NS = 100_000_000
 
 EIGENVALUE_NS = 10_000_000_000
 """Period of the smallest eigenvalue of the covariance, which costs as much as ten other comparisons."""
+
+OUTLIER_SD = 6.0
+"""Deviations of an innovation beyond which it is an outlier: one of the profiler's has 25."""
 
 N = TypeVar("N")
 
@@ -174,22 +176,17 @@ class SquaresLog:
 
 
 class InnovationLog:
-    """NIS of each sensor before the gate, without simulated outliers."""
+    """NIS of each sensor before the gate, without outliers: rows beyond ``OUTLIER_SD``."""
 
-    def __init__(self, sensors: Sensors) -> None:
+    def __init__(self) -> None:
         self.nis = SquaresLog()
-        self._outliers = {
-            name: unit.outlier_masks for name, unit in sensors.by_name.items() if isinstance(unit, HasOutliers)
-        }
 
     def add(self, innovations: Innovations) -> None:
         """Add the innovations of one message."""
-        good = np.ones(len(innovations.residual), dtype=bool)
-        masks = self._outliers.get(innovations.sensor)
-        if masks is not None and (outliers := masks.at(innovations.t_ns)) is not None:
-            good = ~(outliers.ravel()[innovations.indices] if outliers.size > 1 else outliers)
+        r, S = innovations.residual, innovations.S
+        good = r * r <= OUTLIER_SD**2 * np.diagonal(S)
         if good.any():
-            square = squared(innovations.residual[good], innovations.S[np.ix_(good, good)])
+            square = squared(r[good], S[np.ix_(good, good)])
             self.nis.add(innovations.sensor, innovations.t_ns, square, int(good.sum()))
 
 
@@ -232,7 +229,7 @@ class Probe:
         self.truth: Truth | None = None  # the last
         self.true_states = TrueStates(run_config, sensors)
         self.observed = ObservedGridPoints(run_config, sensors)
-        self._innovations = InnovationLog(sensors)
+        self._innovations = InnovationLog()
         self._errors = ErrorLog()
         self._track: list[Truth] = []
         self._filter: ErrorStateFilter | None = None  # observed now
