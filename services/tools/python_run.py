@@ -79,14 +79,8 @@ def simulate(
         if qps and isinstance(message, Plan):
             kept.append(recorder.newest())
 
-    summary = lockstep_run.simulate(
-        run_config,
-        None,
-        None,
-        lambda: False,
-        nodes=make_nodes(run_config, terms=terms, make_solver=recorder),
-        keep=keep,
-    )
+    nodes = make_nodes(run_config, terms=terms, make_solver=recorder)
+    summary = lockstep_run.simulate(run_config, nodes=nodes, keep=keep)
     return Run(run_config.name, messages, msgspec.to_builtins(summary), kept)
 
 
