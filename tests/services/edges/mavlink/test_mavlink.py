@@ -18,7 +18,6 @@ from ltv_mpc import config
 from ltv_mpc.geofence.fence import Fence
 from ltv_mpc.messages import Action, Applied, Command, Estimate, Health
 from ltv_mpc.vehicle.parameters import Vehicle
-from services.cli.app import run
 from services.edges.edge import Outgoing, Received, Refused
 from services.edges.mavlink.actuation import Overrides, State, channels, pwm_us
 from services.edges.mavlink.autopilot import Kind
@@ -468,24 +467,3 @@ def test_on_a_signed_link_unsigned_and_repeated_frames_are_refused() -> None:
         flight.edge.receive(Received("", one, b"", flight.host_us))
     assert flight.edge.refused == 3
     assert "signature" in flight.edge.reason
-
-
-# --- command line ----------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("line", "says"),
-    [
-        ("mavlink --autopilot serial:/dev/x", "must be udpin:HOST:PORT"),
-        ("mavlink --autopilot udpin:127.0.0.1:0", "must be udpin:HOST:PORT"),
-        ("mavlink --vehicle surface", "has no pwm_us and pwm_N"),
-        ("mavlink --signing-key /nowhere", "no such file"),
-        ("mavlink --signing-key {file}", "must be 32"),
-        ("mavlink --connect udpin:127.0.0.1:14550", "must be PROTOCOL/ADDRESS"),
-        ("mavlink --sd 1,2,3", "must be four numbers"),
-        ("mavlink --sd 1,0,0.1,0.1", "must be four numbers"),
-    ],
-)
-def test_bad_options_are_refused(line: str, says: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(line.format(file=__file__).split()) == 2
-    assert says in capsys.readouterr().err
