@@ -91,7 +91,7 @@ lock: .venv/made  ## requirements.lock: the newest versions that pyproject.toml 
 	@$(BIN)/python .ci/install.py --lock
 
 protocol: setup  ## docs/protocol.md, docs/schemas/ and the drawings of docs/architecture.md, from the code
-	$(BIN)/ltv-mpc topics --write docs
+	PYTHONPATH=. $(BIN)/python -P docs/extensions/protocol_page.py
 	PYTHONPATH=. $(BIN)/python -P docs/extensions/drawings.py
 
 link: setup  ## a descent with the controller behind a long, lossy link between two network namespaces; as root

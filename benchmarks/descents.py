@@ -1,6 +1,6 @@
 """Table of errors of the README: the paper's descent, many seeds, every setting with the same currents.
 
-    .venv/bin/python -m benchmarks.descents [--seeds N] [--out FILE.json]
+    .venv/bin/python -m benchmarks.descents [--seeds N]
 
 Each row is the mean over seeds 0 to N-1 (20) of one setting, in lock step: figures repeat on one machine.
 """
@@ -8,10 +8,8 @@ Each row is the mean over seeds 0 to N-1 (20) of one setting, in lock step: figu
 from __future__ import annotations
 
 import argparse
-import json
 import statistics
 from collections.abc import Callable, Sequence
-from pathlib import Path
 
 from benchmarks.batch import Job, in_order
 from sim.evaluation.summary import Summary
@@ -66,10 +64,9 @@ WORST: dict[str, Callable[[Summary], float | None]] = {
 
 
 def main() -> None:
-    """Run, print, and keep where asked to."""
+    """Run and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=20)
-    parser.add_argument("--out", type=Path)
     options = parser.parse_args()
     jobs = [Job("descent", (f"run.seed={seed}", *row)) for row in ROWS.values() for seed in range(options.seeds)]
     everyone = in_order(Job.summary, jobs)
@@ -84,8 +81,6 @@ def main() -> None:
     for name, row in table.items():
         print(f"| {name} | " + " | ".join(text(value) for value in row.values()) + " |")
     print("\nlargest in any run: " + ", ".join(f"{what} {value:g}" for what, value in worst.items()))
-    if options.out is not None:
-        options.out.write_text(json.dumps({"mean": table, "largest": worst}, indent=1) + "\n")
 
 
 def figures(of: Callable[[Summary], float | None], rows: Sequence[Summary]) -> list[float]:

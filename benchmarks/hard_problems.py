@@ -28,7 +28,7 @@ from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.nominal_model import advance
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.solvers.recorder import QpRecorder
-from ltv_mpc.messages import CurrentProfile, Estimate, PlanOrigin, SolveStatus
+from ltv_mpc.messages import CurrentProfile, Estimate, SolveStatus
 from ltv_mpc.references import Point
 from ltv_mpc.vehicle.parameters import Vehicle
 from ltv_mpc.vehicle.performance import Performance, performance
@@ -55,7 +55,6 @@ class Solved(NamedTuple):
 
     vehicle: str
     status: list[SolveStatus]
-    origin: list[PlanOrigin]
     iterations: list[int]
     cycle_us: list[float]
 
@@ -109,13 +108,12 @@ def one(job: Job) -> Solved:
     failures = QpRecorder()
     config = msgspec.structs.replace(config, solver=job.solver)
     controller = Controller(vehicle, Point(north_m=0.0, east_m=0.0), config, make_solver=failures)
-    solved = Solved(name, [], [], [], [])
+    solved = Solved(name, [], [], [])
     for cycle in range(CYCLES):
         started = time.thread_time_ns()
         plan = controller.plan(estimate)
         solved.cycle_us.append((time.thread_time_ns() - started) / 1000)
         solved.status.append(plan.solve.status)
-        solved.origin.append(plan.origin)
         solved.iterations.append(plan.solve.iterations)
         if failures.failed is not None and job.keep is not None:
             failures.failed.save(job.keep / f"{job.seed}-{cycle}.qp")
@@ -138,28 +136,17 @@ def main() -> None:
     seeds = range(options.first_seed, options.first_seed + options.problems)
     jobs = [Job(seed, options.solver, options.keep) for seed in seeds]
     found = in_order(one, jobs, workers=options.workers)
-    print("| vehicle | cycles | not solved | in the first cycle | iterations: median, 99.9 %, most |", end="")
-    print(" cycle (ms): median, 99.9 %, longest | statuses that are not solved |")
-    print("|---|---|---|---|---|---|---|")
-    for name in VEHICLES:
-        if runs := [solved for solved in found if solved.vehicle == name]:
-            print(row(name, runs))
-    print(row("all", found))
-
-
-def row(name: str, runs: list[Solved]) -> str:
-    """Format the results of one vehicle."""
-    status = np.array([run.status for run in runs])
-    failed = status != SolveStatus.SOLVED
-    iterations = np.quantile([run.iterations for run in runs], [0.5, 0.999, 1.0])
-    # The first cycle of a process loads the compiled kernels.
-    cycle_ms = np.quantile([run.cycle_us for run in runs], [0.5, 0.999, 1.0]) / 1000
-    kinds = Counter(status[failed].tolist())
-    return (
-        f"| {name} | {failed.size} | {failed.sum()} ({failed.mean():.2%}) | {failed[:, 0].sum()} | "
-        f"{', '.join(f'{n:.0f}' for n in iterations)} | {', '.join(f'{t:.2f}' for t in cycle_ms)} | "
-        f"{', '.join(f'{kind} {n}' for kind, n in kinds.items()) or 'none'} |"
+    failed = Counter(
+        (run.vehicle, status) for run in found for status in run.status if status is not SolveStatus.SOLVED
     )
+    by_kind = ", ".join(f"{vehicle} {status} {count}" for (vehicle, status), count in failed.items())
+    print(f"{len(found) * CYCLES} cycles, {failed.total()} not solved: {by_kind or 'none'}")
+    for name, values in (
+        ("iterations", [run.iterations for run in found]),
+        ("time of a cycle (us)", [run.cycle_us for run in found]),
+    ):
+        median, most, longest = np.quantile(values, [0.5, 0.999, 1.0])
+        print(f"{name}: median {median:.0f}, 99.9 % {most:.0f}, largest {longest:.0f}")
 
 
 if __name__ == "__main__":

@@ -23,7 +23,6 @@ from pathlib import Path
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
-from mcap.reader import make_reader
 
 ROOT = Path(__file__).resolve().parents[1]
 SURFACE_S = 10.0
@@ -44,7 +43,6 @@ class Run(NamedTuple):
 
     times: Times
     share: dict[str, float]  # of a core, by process, while the clock runs
-    messages: dict[str, int]  # recorded, by key
 
     @property
     def total_s(self) -> float:
@@ -99,7 +97,7 @@ def measure(checkout: Path, out: Path, *, duration_s: float, speed: float) -> Ru
         sys.exit(f"{out}: {dropped} messages are not recorded")
     (start_s, start), (end_s, end) = next(s for s in samples if s[0] > samples[0][0] + SETTLED_S), samples[-1]
     share = {name: (sum(end[name]) - sum(start.get(name, (0.0, 0.0)))) / (end_s - start_s) for name in end}
-    return Run(by_name(newest), share, count(out / "run.mcap"))
+    return Run(by_name(newest), share)
 
 
 def by_name(rows: dict[int, tuple[str, float, float]]) -> Times:
@@ -108,22 +106,6 @@ def by_name(rows: dict[int, tuple[str, float, float]]) -> Times:
     for name, user_s, system_s in rows.values():
         times[name] = times[name][0] + user_s, times[name][1] + system_s
     return dict(times)
-
-
-def count(recording: Path) -> dict[str, int]:
-    """Return the number of recorded messages of each key."""
-    with recording.open("rb") as file:
-        summary = make_reader(file).get_summary()
-    assert summary is not None
-    assert summary.statistics is not None
-    return {summary.channels[i].topic: number for i, number in summary.statistics.channel_message_counts.items()}
-
-
-def differences(ours: Run, theirs: Run) -> str:
-    """Format the keys of which two runs have recorded different numbers of messages."""
-    pairs = {key: (ours.messages.get(key, 0), theirs.messages.get(key, 0)) for key in ours.messages | theirs.messages}
-    different = [f"{key} {a} {b}" for key, (a, b) in sorted(pairs.items()) if a != b]
-    return f"messages of {len(pairs)} keys; different numbers of {', '.join(different) or 'none'}"
 
 
 def ratio(ours: list[Run], theirs: list[Run]) -> str:
@@ -146,8 +128,7 @@ def table(title: str, runs: list[Run], vehicle_s: float) -> str:
     for name, among in (("all", names), ("aboard", ABOARD)):
         user_s, system_s, share = (sum(rows[each][i] for each in among) for i in range(3))
         rows[name] = user_s, system_s, share
-    messages = statistics.fmean(sum(run.messages.values()) for run in runs)
-    lines = [f"{title}: {vehicle_s:g} s, {messages:.0f} messages recorded, none lost", ""]
+    lines = [f"{title}: {vehicle_s:g} s, no message lost", ""]
     lines += ["| process | user (s) | system (s) | each vehicle second (ms) | of a core (%) |", "|---|" + "---:|" * 4]
     for name, (user_s, system_s, share) in rows.items():
         each_ms = 1000 * (user_s + system_s) / vehicle_s
@@ -176,7 +157,6 @@ def main() -> None:
         print(table(title, found, SURFACE_S + options.duration_s))
     if len(checkouts) == 2:
         print(ratio(*runs.values()))
-        print(differences(*(found[0] for found in runs.values())))
 
 
 if __name__ == "__main__":

@@ -124,12 +124,6 @@ def _columns(axes: Axes, labels: Sequence[str]) -> int:
     return min(len(labels), COLUMNS, max(1, int(points / widest)))
 
 
-def shared_legend(figure: Figure, axes: Axes) -> None:
-    """Place one legend for all panels of a figure below them, with the labelled artists of ``axes``."""
-    handles, labels = axes.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=COLUMNS)
-
-
 def write(figure: Figure, files: Sequence[Path]) -> None:
     """Write a figure as PNG or SVG by suffix, within the ``style`` in which it was drawn. Creates folders."""
     for path in files:

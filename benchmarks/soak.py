@@ -1,6 +1,6 @@
 """Soak test: growth of memory, file handles and threads of each process in a long run, and misses by quarter.
 
-    .venv/bin/python -m benchmarks.soak [--minutes 60] [--speed 10] [--every-s 10] [--out DIR] [--json]
+    .venv/bin/python -m benchmarks.soak [--minutes 60] [--speed 10] [--every-s 10] [--out DIR]
 
 `hover` by `ltv-mpc sim` is observed through /proc and ended by Ctrl-C after the given wall time. Memory is what a
 process has written; memory that several forks share is divided among them (Pss_Anon of smaps_rollup). Pages of files,
@@ -18,21 +18,20 @@ missed more than twice what the second and third did, and more than five.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import signal
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from benchmarks.processes import children
-from ltv_mpc.messages import Applied, Plan, PlanOrigin
+from ltv_mpc.messages import Applied, Array, Plan, PlanOrigin
 from services.recording.loss_accounting import LossAccounting
 from services.recording.reader import Recording
 
@@ -41,8 +40,7 @@ INDEX_MB_PER_HOUR = 30.0
 """Growth of the recorder: mcap's writer keeps an entry for each chunk until the end (docs/notes/libraries.md)."""
 FEW = 5
 QUARTERS = 4
-SUPERVISOR = "supervisor"
-RECORDER = "recorder"
+RECORDER = "ltv-recorder"
 
 
 class Look(NamedTuple):
@@ -52,31 +50,6 @@ class Look(NamedTuple):
     memory_mb: float
     handles: int
     threads: int
-
-
-class Grown(NamedTuple):
-    """One process over the run."""
-
-    process: str
-    looks: int
-    memory_mb: list[float]  # median of each quarter
-    handles: list[int]  # most in each quarter
-    threads: list[int]
-    flat: bool
-
-
-class Missed(NamedTuple):
-    """One quarter of the vehicle's time."""
-
-    cycles: int
-    not_solved: int
-    late: int
-    missing: int
-
-    @property
-    def all(self) -> int:
-        """Number of cycles missed for any reason."""
-        return self.not_solved + self.late + self.missing
 
 
 def look(pid: int, at_s: float) -> Look | None:
@@ -93,12 +66,11 @@ def look(pid: int, at_s: float) -> Look | None:
 def watch(supervisor: subprocess.Popen[bytes], wall_s: float, every_s: float) -> dict[str, list[Look]]:
     """Return all samples by process; a restarted process counts as another one."""
     looks: dict[int, list[Look]] = {}
-    names: dict[int, str] = {}
+    names: dict[int, str] = {}  # a fork has its own name a moment later
     began = time.monotonic()
     while (at_s := time.monotonic() - began) < wall_s and supervisor.poll() is None:
-        for pid, name in [(supervisor.pid, SUPERVISOR), *children(supervisor.pid)]:
-            seen = look(pid, at_s)
-            if seen is not None:
+        for pid, name in [(supervisor.pid, "supervisor"), *children(supervisor.pid)]:
+            if (seen := look(pid, at_s)) is not None:
                 names[pid] = name
                 looks.setdefault(pid, []).append(seen)
         sys.stderr.write(f"\r{at_s / 60:.1f} of {wall_s / 60:g} min")
@@ -107,51 +79,38 @@ def watch(supervisor: subprocess.Popen[bytes], wall_s: float, every_s: float) ->
     return {f"{name} {pid}": looks[pid] for pid, name in names.items()}
 
 
-def grown(process: str, looks: Sequence[Look], wall_s: float) -> Grown:
-    """Return the growth of a process by quarters of the run."""
+def is_flat(process: str, looks: Sequence[Look], wall_s: float) -> bool:
+    """Print the figures of a process by quarters of the run; return False if it has grown."""
     quarters = [[one for one in looks if int(QUARTERS * one.at_s / wall_s) == k] for k in range(QUARTERS)]
     memory = [float(np.median([one.memory_mb for one in of])) if of else float("nan") for of in quarters]
-    handles = [max((one.handles for one in of), default=0) for of in quarters]
-    threads = [max((one.threads for one in of), default=0) for of in quarters]
-    growth_mb = memory[-1] - memory[1]
+    handles, threads = ([max((one[i] for one in of), default=0) for of in quarters] for i in (2, 3))
     allowed_mb = max(MOST_GROWTH_MB, MOST_GROWTH * memory[1])
     if process.startswith(RECORDER):
         allowed_mb += INDEX_MB_PER_HOUR * wall_s / 3600.0 / 2  # medians of two quarters that lie half a run apart
     lasting = all(quarters[1:])  # else it was started or ended in between
-    flat = not lasting or (growth_mb <= allowed_mb and handles[-1] <= handles[1] and threads[-1] <= threads[1])
-    return Grown(process, len(looks), memory, handles, threads, flat)
+    grew = memory[-1] - memory[1] > allowed_mb or handles[-1] > handles[1] or threads[-1] > threads[1]
+    flat = not (lasting and grew)
+    cells = " ".join(f"{value:8.1f}" for value in memory)
+    print(f"{process:<26}{cells:>36} {handles!s:>20} {threads!s:>20}", "" if flat else "grew")
+    return flat
 
 
-def missed(recording: Path) -> list[Missed]:
-    """Return the missed cycles by quarters of the recording."""
-    rows: list[tuple[int, int, int, int]] = []  # time, not solved, late, missing in all
-    losses, late_before, lost_before = LossAccounting(), 0, 0
+def missed(recording: Path) -> Mapping[str, Array]:
+    """Return how often something was missed, by quarters of the recording (4,), and the cycles."""
+    times: dict[str, list[int]] = {"cycles": [], "not solved": [], "plans late": [], "messages missing": []}
+    losses, before = LossAccounting(), {"plans late": 0, "messages missing": 0}
     for message in Recording(recording):
         losses.add(message.key, message.plain["epoch"], message.plain["sequence"])
         if message.kind is Plan and message.plain["cycle_t_ns"] >= 0:
-            rows.append((message.t_ns, int(message.plain["origin"] != PlanOrigin.SOLVED), 0, 0))
+            times["cycles"].append(message.t_ns)
+            times["not solved"] += [message.t_ns] * (message.plain["origin"] != PlanOrigin.SOLVED)
         elif message.kind is Applied:
-            late, lost = int(message.plain["plans_late"]), losses.missing
-            rows.append((message.t_ns, -1, late - late_before, lost - lost_before))
-            late_before, lost_before = late, lost
-    if not rows:
-        return []
-    first, last = rows[0][0], rows[-1][0]
-    quarters: list[list[tuple[int, int, int, int]]] = [[] for _ in range(QUARTERS)]
-    for row in rows:
-        quarters[min(QUARTERS - 1, QUARTERS * (row[0] - first) // max(1, last - first))].append(row)
-    return [_of_quarter(quarter) for quarter in quarters]
-
-
-def _of_quarter(rows: Iterable[tuple[int, int, int, int]]) -> Missed:
-    rows = list(rows)
-    plans = [solved for _, solved, _, _ in rows if solved >= 0]
-    return Missed(len(plans), sum(plans), sum(row[2] for row in rows), sum(row[3] for row in rows))
-
-
-def steady(quarters: Sequence[Missed]) -> bool:
-    """Return True if the last quarter was no worse than those before."""
-    return bool(quarters) and quarters[-1].all <= max(FEW, 2 * max(quarter.all for quarter in quarters[1:-1]))
+            counts = {"plans late": int(message.plain["plans_late"]), "messages missing": losses.missing}
+            for name, count in counts.items():
+                times[name] += [message.t_ns] * (count - before[name])
+            before = counts
+    every = times["cycles"] or [0]
+    return {name: np.histogram(of, QUARTERS, (every[0], every[-1] + 1))[0] for name, of in times.items()}
 
 
 def main() -> int:
@@ -161,7 +120,6 @@ def main() -> int:
     parser.add_argument("--speed", type=float, default=10.0)
     parser.add_argument("--every-s", type=float, default=10.0)
     parser.add_argument("--out", type=Path, help="keep the run here")
-    parser.add_argument("--json", action="store_true")
     of = parser.parse_args()
     wall_s = 60.0 * of.minutes
     with tempfile.TemporaryDirectory() as place, Path(place, "said").open("w+b") as said:
@@ -178,28 +136,14 @@ def main() -> int:
             sys.stderr.write(f"the run ended before its time, with exit code {code}:\n{said.read().decode()}")
             return 1
         quarters = missed(out / "run.mcap")
-    processes = [grown(name, seen, wall_s) for name, seen in looks.items()]
-    good = all(one.flat for one in processes) and steady(quarters)
-    if of.json:
-        rows = {"processes": [one._asdict() for one in processes], "quarters": [one._asdict() for one in quarters]}
-        print(json.dumps({"minutes": of.minutes, "speed": of.speed, "flat": good, **rows}))
-    else:
-        _show(processes, quarters, good)
-    return 0 if good else 1
-
-
-def _show(processes: Sequence[Grown], quarters: Sequence[Missed], good: bool) -> None:
-    print(f"{'process':<26}{'MB, median by quarter':>34}{'handles':>16}{'threads':>16}")
-    for one in processes:
-        memory = " ".join(f"{value:8.1f}" for value in one.memory_mb)
-        counts = (" ".join(map(str, values)) for values in (one.handles, one.threads))
-        print(f"{one.process:<26}{memory:>34}" + "".join(f"{text:>16}" for text in counts), "" if one.flat else " grew")
-    for k, quarter in enumerate(quarters, 1):
-        print(
-            f"quarter {k}: {quarter.cycles} cycles, {quarter.not_solved} not solved, {quarter.late} plans late, "
-            f"{quarter.missing} messages missing"
-        )
+    print(f"{'process':<26}{'MB, median by quarter':>36} {'handles':>20} {'threads':>20}")
+    flat = {is_flat(name, seen, wall_s) for name, seen in looks.items()} == {True}  # prints all
+    for name, counts in quarters.items():
+        print(f"{name:<26}{' '.join(f'{count:8d}' for count in counts):>36}")
+    of_all = sum(counts for name, counts in quarters.items() if name != "cycles")
+    good = flat and quarters["cycles"].any() and of_all[-1] <= max(FEW, 2 * of_all[1:-1].max())
     print("flat" if good else "not flat")
+    return 0 if good else 1
 
 
 if __name__ == "__main__":

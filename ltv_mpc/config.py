@@ -26,6 +26,8 @@ MAX_FILE_BYTES = 1 << 20
 MAX_NESTING = 10
 """Largest depth of nested tables and lists. No settings file needs more, and their traversal is recursive."""
 
+TOO_DEEP = f"tables and lists inside one another: at most {MAX_NESTING} deep"
+
 
 def parse(table: Mapping[str, Any], kind: type[T], *, source: str) -> T:
     """Convert a TOML table to a struct.
@@ -69,7 +71,7 @@ def read_toml(path: Path, *, what: str) -> dict[str, Any]:
     try:
         return loads(text)
     except RecursionError:
-        raise ConfigError(source, "", f"tables and lists inside one another: at most {MAX_NESTING} deep") from None
+        raise ConfigError(source, "", TOO_DEEP) from None
     except ValueError as error:
         raise ConfigError(source, "", f"is not valid TOML: {error}") from None
 
@@ -113,9 +115,8 @@ def read_text(path: Path, *, what: str) -> str:
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise ConfigError(
-            source, "", f"is not UTF-8 text (byte {error.start}): check that it is the right file"
-        ) from None
+        problem = f"is not UTF-8 text (byte {error.start}): check that it is the right file"
+        raise ConfigError(source, "", problem) from None
     if not text.strip():
         raise ConfigError(source, "", "is empty")
     if "\0" in text:
@@ -345,9 +346,7 @@ def _shipped(package: str, suffix: str) -> Iterator[Path]:
 def _scalars(value: Any, path: tuple[str | int, ...], source: str) -> Iterator[tuple[settings_schema.Path, Any]]:
     """Iterate over all scalars in a tree of tables and lists, with their paths."""
     if len(path) > MAX_NESTING:
-        raise ConfigError(
-            source, toml_key(path[:1]), f"tables and lists inside one another: at most {MAX_NESTING} deep"
-        )
+        raise ConfigError(source, toml_key(path[:1]), TOO_DEEP)
     if isinstance(value, Mapping):
         for key, inner in value.items():
             yield from _scalars(inner, (*path, str(key)), source)

@@ -446,7 +446,7 @@ class LocalisationReport(Message, frozen=True, kw_only=True, eq=False):
 class DroppedGridPoint(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Conditional distribution of the current at a depth that left the state vector of the filter.
 
-    These are the fields of a ``Link`` in ``localisation/water/column.py``.
+    ``localisation/water/column.py`` has its equation.
     """
 
     grid_point: Index

@@ -13,7 +13,7 @@ import contextlib
 import heapq
 import json
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -125,19 +125,14 @@ def problem(injection: Injection) -> tuple[str, str] | None:
 class Interference:
     """Effect of the injected faults on frames; it knows times and bytes, and no bus."""
 
-    def __init__(self, injections: Iterable[Injection] = ()) -> None:
-        self.asked: list[Injection] = []
-        self._message_faults = MessageFaults((), encode=_as_received, receive=_nobody)
-        for injection in injections:
-            self.add(injection)
-
-    def add(self, injection: Injection) -> None:
-        """Add an injection that takes effect from now on."""
-        topic = topic_at(injection.key)
-        assert topic is not None  # by ``problem``
-        kinds, interval = (topic.message_type,), injection.interval
-        self._message_faults.add(MessageFaultInterval(kinds, injection.harm, interval, injection.size, injection.seed))
-        self.asked.append(injection)
+    def __init__(self, injections: Sequence[Injection] = ()) -> None:
+        self.asked = injections
+        intervals = []
+        for one in injections:
+            topic = topic_at(one.key)
+            assert topic is not None  # by ``problem``
+            intervals.append(MessageFaultInterval((topic.message_type,), one.harm, one.interval, one.size, one.seed))
+        self._message_faults = MessageFaults(intervals, encode=_as_received, receive=_nobody)
 
     @property
     def harmed(self) -> list[int]:
@@ -210,31 +205,39 @@ class _Side:
         publisher.put(payload)
 
 
+class Config(msgspec.Struct, frozen=True, kw_only=True):
+    """Start settings of the injector process."""
+
+    node: str  # under test
+    injections: tuple[Injection, ...]
+    at_a: BusOptions  # where everyone else is
+    at_b: BusOptions  # where the node under test is
+    link: str = ""  # recording of the frames at B that differ from those at A; empty: none
+
+
 class Injector:
     """Bridge between the two routers that applies the faults, until it is stopped."""
 
-    def __init__(
-        self, node: str, injections: Iterable[Injection], *, link: RunWriter | None, stop: StopRequest, say: Say
-    ) -> None:
-        """Prepare the bridge for the node under test, ``node``, which is alone at B.
-
-        ``link`` records the frames at B that differ from those at A.
-        """
-        self._interference = Interference()
+    def __init__(self, config: Config, *, link: RunWriter | None, stop: StopRequest, say: Say) -> None:
+        """Prepare the bridge. ``link`` records the frames at B that differ from those at A."""
+        self._config = config
+        self._interference = Interference(config.injections)
         self._mailbox = Mailbox()
         self._stop = stop
         self._say = say
         stop.on_request(self._mailbox.wake)
-        self._node = node
+        self._own = _written_by(config.node)
         self._clock = VehicleClock()
         self._link = link
         self._delayed: list[tuple[int, int, str, bytes]] = []  # heap: due (ns), count, key, frame
         self._count = 0
-        self._events: list[tuple[int, int, str]] = []  # heap: time (ns), number of the fault, "begins" or "ends"
+        self._events: list[tuple[int, int, str]] = sorted(  # time (ns), number of the fault, "begins" or "ends"
+            event
+            for i, one in enumerate(config.injections)
+            for event in ((one.interval.start_ns, i, "begins"), (one.interval.end_ns, i, "ends"))
+        )
         self._out: Outbox
         self._sides: tuple[_Side, _Side]
-        for injection in injections:
-            self._add(injection)
 
     @property
     def account(self) -> list[dict[str, object]]:
@@ -242,23 +245,22 @@ class Injector:
         asked = zip(self._interference.asked, self._interference.harmed, strict=True)
         return [{**msgspec.to_builtins(injection), "harmed": harmed} for injection, harmed in asked]
 
-    def serve(self, a: BusOptions, b: BusOptions) -> None:
+    def serve(self) -> None:
         """Open both sides, copy, close. Raises ``BusError``, ``Stopped``."""
         with (
-            open_session(a, stop=self._stop, say=self._say) as at_a,
-            open_session(b, stop=self._stop, say=self._say) as at_b,
+            open_session(self._config.at_a, stop=self._stop, say=self._say) as at_a,
+            open_session(self._config.at_b, stop=self._stop, say=self._say) as at_b,
         ):
-            own, others = _written_by(self._node), read_by(self._node)
+            own = self._own
             side_a = _Side(at_a, self._mailbox, lambda key: key not in own)
             side_b = _Side(at_b, self._mailbox, lambda key: key in own)
             self._sides = side_a, side_b
             self._out = Outbox(at_a, node=NAME, epoch=new_epoch(), kinds=(RunEvent,))
-            for key, topic in others.items():
+            for key, topic in read_by(self._config.node).items():
                 side_a.subscribe(key, topic)
             for key, topic in own.items():
                 side_b.subscribe(key, topic)
-            self._own = own
-            self._say(f"ready: {self._node} at the second router")
+            self._say(f"ready: {self._config.node} at the second router")
             while not self._stop():
                 self._tend()
                 frame = self._mailbox.take(self._wait_s())
@@ -287,12 +289,6 @@ class Injector:
                 self._count += 1
                 heapq.heappush(self._delayed, (due_ns, self._count, frame.key, payload))
 
-    def _add(self, injection: Injection) -> None:
-        number = len(self._interference.asked)
-        self._interference.add(injection)
-        heapq.heappush(self._events, (injection.interval.start_ns, number, "begins"))
-        heapq.heappush(self._events, (injection.interval.end_ns, number, "ends"))
-
     def _tend(self) -> None:
         """Forward delayed frames that are due, and publish the begin and end events of faults."""
         now_ns = self._now_ns()
@@ -301,7 +297,7 @@ class Injector:
         while self._delayed and self._delayed[0][0] <= now_ns:
             self._send(*heapq.heappop(self._delayed)[2:])
         while self._events and self._events[0][0] <= now_ns:
-            _, number, what = heapq.heappop(self._events)
+            _, number, what = self._events.pop(0)
             asked, harmed = self._interference.asked[number], self._interference.harmed[number]
             text = f"{asked.harm} of {asked.key} {what}" + (f", {harmed} harmed" if what == "ends" else "")
             self._out.publish(RunEvent(t_ns=now_ns, node=NAME, kind="injected", text=text))
@@ -346,16 +342,6 @@ def read_by(node: str) -> dict[str, Topic]:
     return {key: topic for key, topic in expressions.items() if key not in own}
 
 
-class Config(msgspec.Struct, frozen=True, kw_only=True):
-    """Start settings of the injector process."""
-
-    node: str  # under test
-    injections: tuple[Injection, ...]
-    at_a: BusOptions  # where everyone else is
-    at_b: BusOptions  # where the node under test is
-    link: str = ""  # recording of the frames at B that differ from those at A; empty: none
-
-
 def main(config: Config) -> int:
     """Inject until stopped; the last line on stdout is the number of harmed messages by fault, as JSON."""
 
@@ -364,9 +350,9 @@ def main(config: Config) -> int:
             link = None
             if config.link:
                 link = stack.enter_context(RunWriter(Path(config.link), start_ns=EARLIEST_NS, metadata={}))
-            injector = Injector(config.node, config.injections, link=link, stop=request, say=say)
+            injector = Injector(config, link=link, stop=request, say=say)
             with contextlib.suppress(Stopped):
-                injector.serve(config.at_a, config.at_b)
+                injector.serve()
         sys.stdout.write(json.dumps(injector.account) + "\n")
 
     return run_until_stopped(Console(NAME), work)

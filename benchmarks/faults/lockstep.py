@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from typing import Any, NamedTuple, TypeVar
 
 import msgspec
 import numpy as np
@@ -26,7 +26,7 @@ from benchmarks.faults.log import INTRUDERS_EPOCH, Case, Log, Observed, lost_bet
 from benchmarks.faults.message_faults import MessageFault, MessageFaultInterval, MessageFaults
 from benchmarks.faults.own_clock import ClockStepFault, OwnClock
 from benchmarks.faults.sensor_faults import Failure, FaultySensors, SensorFault
-from ltv_mpc.messages import Disturbance, Message
+from ltv_mpc.messages import Disturbance, Message, Plan
 from ltv_mpc.node import Node, ReceivedMessage
 from ltv_mpc.validation import rejection_reason
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -39,6 +39,7 @@ from services.run.run_config import Override, RunConfig, resolve
 from services.tools import lockstep_run
 from sim.scheduler import EPOCH, Delivery, LockStep, Observation
 
+T = TypeVar("T")
 SCENARIO = "hover"
 
 RESTARTED_EPOCH = 100
@@ -48,73 +49,77 @@ POLL_NS = 500_000_000
 """Time between two readings of the validators' counts."""
 
 
-@dataclass
+class SlowCycles(NamedTuple):
+    """Interval in which a cycle takes so long to compute."""
+
+    interval: Interval
+    delay_ns: int
+
+
+def part_of(fault: Fault, vehicle: Vehicle) -> Any:
+    """Return the part that a fault makes faulty: messages to publish, each with its time, or what harms others."""
+    interval, size = Interval(fault.start_ns, fault.end_ns), fault.size
+    towards = np.random.default_rng(fault.seed).uniform(0.0, 2.0 * np.pi)
+    push = size * float(np.cos(towards)), size * float(np.sin(towards))
+    what, _, how = fault.kind.partition("_")
+    match fault.kind:
+        case "solver_failure":
+            return SolverFaultInterval(SolverFault(fault.target), interval)
+        case "solver_overrun":
+            return SlowCycles(interval, round(size * 1e9))
+        case "thruster_loss":
+            port, starboard = (1.0 - size if fault.target in (side, "both") else 1.0 for side in ("port", "starboard"))
+            return [(fault.start_ns, Disturbance(end_t_ns=fault.end_ns, thrust_scale=(port, starboard, 1.0)))]
+        case "external_force":
+            return [(fault.start_ns, Disturbance(end_t_ns=fault.end_ns, force_N=(*push, 0.0)))]
+        case "second_commander":
+            return world.intrusion(interval, world.thrust_at(vehicle, (size, -size, 0.0)))
+        case "second_source":
+            return SecondSource(interval, push)
+        case "reference_point":
+            ahead, starboard = (size, 0.0) if fault.target == "ahead" else (0.0, size)
+            return Antenna(interval, ReferencePoint(forward_m=ahead, starboard_m=starboard))
+        case "clock_step":
+            return ClockStepFault(interval, round(size * 1e9))
+        case "controller_restart":
+            return interval
+        case _ if what == "sensor":
+            return SensorFault(INSTRUMENTS[fault.target], Failure(how), interval, size, fault.seed)
+        case _:
+            harm = {"estimate_dropout": "loss"}.get(fault.kind, fault.kind.removeprefix("message_"))
+            return MessageFaultInterval(MESSAGES[fault.target], MessageFault(harm), interval, size, fault.seed)
+
+
 class Parts:
     """Faulty parts of a run, each with the fault that it comes from."""
 
-    sensors: dict[Fault, SensorFault] = field(default_factory=dict)
-    messages: dict[Fault, MessageFaultInterval] = field(default_factory=dict)
-    solvers: dict[Fault, SolverFaultInterval] = field(default_factory=dict)
-    slow_cycles: dict[Fault, tuple[Interval, int]] = field(default_factory=dict)  # computing time (ns)
-    disturbances: dict[Fault, tuple[int, Disturbance]] = field(default_factory=dict)
-    intrusions: dict[Fault, world.Intrusion] = field(default_factory=dict)
-    second_sources: dict[Fault, SecondSource] = field(default_factory=dict)
-    antennas: dict[Fault, Antenna] = field(default_factory=dict)
-    clock_steps: dict[Fault, ClockStepFault] = field(default_factory=dict)
-    restarts: dict[Fault, Interval] = field(default_factory=dict)
+    def __init__(self, faults: Sequence[Fault], vehicle: Vehicle) -> None:
+        self._made = {fault: part_of(fault, vehicle) for fault in faults}
+        self._slow = self.of(SlowCycles).values()
 
-    def add(self, fault: Fault, vehicle: Vehicle) -> None:
-        """Add the part that a fault makes faulty."""
-        interval, size = Interval(fault.start_ns, fault.end_ns), fault.size
-        towards = np.random.default_rng(fault.seed).uniform(0.0, 2.0 * np.pi)
-        push = size * float(np.cos(towards)), size * float(np.sin(towards))
-        what, _, how = fault.kind.partition("_")
-        match fault.kind:
-            case "solver_failure":
-                self.solvers[fault] = SolverFaultInterval(SolverFault(fault.target), interval)
-            case "solver_overrun":
-                self.slow_cycles[fault] = interval, round(size * 1e9)
-            case "thruster_loss":
-                port, starboard = (
-                    1.0 - size if fault.target in (side, "both") else 1.0 for side in ("port", "starboard")
-                )
-                lost = Disturbance(end_t_ns=fault.end_ns, thrust_scale=(port, starboard, 1.0))
-                self.disturbances[fault] = fault.start_ns, lost
-            case "external_force":
-                self.disturbances[fault] = fault.start_ns, Disturbance(end_t_ns=fault.end_ns, force_N=(*push, 0.0))
-            case "second_commander":
-                self.intrusions[fault] = world.Intrusion(interval, world.thrust_at(vehicle, (size, -size, 0.0)))
-            case "second_source":
-                self.second_sources[fault] = SecondSource(interval, push)
-            case "reference_point":
-                ahead, starboard = (size, 0.0) if fault.target == "ahead" else (0.0, size)
-                self.antennas[fault] = Antenna(interval, ReferencePoint(forward_m=ahead, starboard_m=starboard))
-            case "clock_step":
-                self.clock_steps[fault] = ClockStepFault(interval, round(size * 1e9))
-            case "controller_restart":
-                self.restarts[fault] = interval
-            case _ if what == "sensor":
-                self.sensors[fault] = SensorFault(INSTRUMENTS[fault.target], Failure(how), interval, size, fault.seed)
-            case _:
-                harm = {"estimate_dropout": "loss"}.get(fault.kind, fault.kind.removeprefix("message_"))
-                types = MESSAGES[fault.target]
-                self.messages[fault] = MessageFaultInterval(types, MessageFault(harm), interval, size, fault.seed)
+    def of(self, kind: type[T]) -> dict[Fault, T]:
+        """Return the parts of one type."""
+        return {fault: part for fault, part in self._made.items() if type(part) is kind}
 
     def compute_delay_ns(self, t_ns: int) -> int:
         """Return the computing time (ns) of a cycle that starts at ``t_ns``."""
-        return next((delay for interval, delay in self.slow_cycles.values() if interval.contains(t_ns)), 0)
+        return next((slow.delay_ns for slow in self._slow if slow.interval.contains(t_ns)), 0)
 
     def nodes(self, of: RunConfig) -> list[Node]:
-        """Return the nodes of the run, with the faulty components around them and the disturbances first."""
+        """Return the nodes of the run, with the faulty components around them and the published messages first."""
         now = SolverClock()
-        make_solver = faulty_solvers([*self.solvers.values()], now)
+        make_solver = faulty_solvers([*self.of(SolverFaultInterval).values()], now)
         plant, sensors, *others, _ = make_nodes(of, make_solver=make_solver)
-        controller = RestartedNode(lambda: make_nodes(of, make_solver=make_solver)[-1], [*self.restarts.values()])
+        restarts = [*self.of(Interval).values()]
+        controller = RestartedNode(lambda: make_nodes(of, make_solver=make_solver)[-1], restarts)
+        script = [pair for messages in self.of(list).values() for pair in messages]
         return [
-            world.DisturbanceSource([*self.disturbances.values()]),
-            world.Intruder([*self.intrusions.values()]),
+            *(
+                world.Script(name, kind, [pair for pair in script if isinstance(pair[1], kind)])
+                for name, kind in (("operator", Disturbance), (world.INTRUDER, Plan))
+            ),
             plant,
-            FaultySensors(sensors, [*self.sensors.values()]),
+            FaultySensors(sensors, [*self.of(SensorFault).values()]),
             *others,
             TimedNode(controller, now),
         ]
@@ -129,16 +134,17 @@ class Bus(MessageFaults):
     def __init__(self, parts: Parts) -> None:
         self.accepted: list[int] = []
         """Times (ns) at which a damaged frame was accepted, because its content was valid."""
-        self._parts = parts
+        self._messages, self._sources = parts.of(MessageFaultInterval), parts.of(SecondSource)
+        self._antennas, self._restarts = parts.of(Antenna).values(), parts.of(Interval).values()
         self._validators: dict[str, MessageValidator] = {}
-        self._second_estimates = dict.fromkeys(parts.second_sources, 0)
-        self._clock = OwnClock([*parts.clock_steps.values()], epoch=EPOCH)
-        super().__init__([*parts.messages.values()], encode=encoded, receive=self._receive)
+        self._second_estimates = dict.fromkeys(self._sources, 0)
+        self._clock = OwnClock([*parts.of(ClockStepFault).values()], epoch=EPOCH)
+        super().__init__([*self._messages.values()], encode=encoded, receive=self._receive)
 
     @property
     def harmed_by(self) -> dict[Fault, int]:
         """Return the number of messages that each fault has harmed, or that a second source has published."""
-        return dict(zip(self._parts.messages, self.harmed, strict=True)) | self._second_estimates
+        return dict(zip(self._messages, self.harmed, strict=True)) | self._second_estimates
 
     @property
     def dropped(self) -> int:
@@ -147,16 +153,16 @@ class Bus(MessageFaults):
 
     def carry(self, writer: str, reader: str, message: ReceivedMessage) -> Sequence[Delivery]:
         """Deliver a message with the epoch of its writer."""
-        if writer == world.Intruder.name:
+        if writer == world.INTRUDER:
             message = msgspec.structs.replace(message, epoch=INTRUDERS_EPOCH)
         elif writer == "controller":
-            restarts = sum(dead.end_ns <= message.received_t_ns for dead in self._parts.restarts.values())
+            restarts = sum(dead.end_ns <= message.received_t_ns for dead in self._restarts)
             message = msgspec.structs.replace(message, epoch=message.epoch + RESTARTED_EPOCH * restarts)
-        for antenna in self._parts.antennas.values():
+        for antenna in self._antennas:
             message = antenna.moved(message)
         heard = self._clock.carry(writer, reader, message)
         deliveries = [harmed for each in heard for harmed in super(Bus, self).carry("", "", each.message)]
-        for fault, source in self._parts.second_sources.items():
+        for fault, source in self._sources.items():
             if reader == "controller" and (second := source.message(message)) is not None:
                 self._second_estimates[fault] += 1
                 deliveries.append(Delivery(second.received_t_ns, second))
@@ -197,9 +203,8 @@ def run_config(run: Run, *settings: str) -> RunConfig:
 
 def observe(run: Run, *, tap: Callable[[Message], None] = lambda _: None) -> tuple[Observed, list[Case]]:
     """Make the run in this process. ``tap`` receives every published message."""
-    of, parts = run_config(run), Parts()
-    for fault in run.faults:
-        parts.add(fault, of.vehicle)
+    of = run_config(run)
+    parts = Parts(run.faults, of.vehicle)
     log, bus = Log(of.vehicle, tap=tap), Bus(parts)
     lockstep = LockStep(
         parts.nodes(of),

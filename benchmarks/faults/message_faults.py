@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import enum
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import msgspec
@@ -68,22 +68,14 @@ class MessageFaults:
     """Transport of one run that applies message faults."""
 
     def __init__(self, faults: Sequence[MessageFaultInterval], *, encode: Encode, receive: Admit) -> None:
-        self._faults: list[_Fault] = []
-        self._kinds: set[type[Message]] = set()
-        self._encode = encode
+        self._faults = [_Fault(fault, encode) for fault in faults]
+        self._kinds = {kind for fault in faults for kind in fault.kinds}
         self._receive = receive
-        for fault in faults:
-            self.add(fault)
-
-    def add(self, fault: MessageFaultInterval) -> None:
-        """Add a fault."""
-        self._faults.append(_FAULTS[fault.harm](fault, self._encode))
-        self._kinds.update(fault.kinds)
 
     @property
     def harmed(self) -> list[int]:
         """Number of messages that each fault has harmed, in the order of the faults."""
-        return [harm.harmed for harm in self._faults]
+        return [fault.harmed for fault in self._faults]
 
     def covers(self, kind: type[Message]) -> bool:
         """Return True if any fault concerns messages of this type, active or not."""
@@ -92,9 +84,9 @@ class MessageFaults:
     def carry(self, writer: str, reader: str, message: ReceivedMessage) -> Sequence[Delivery]:  # noqa: ARG002  (a type is a key)
         """Return the deliveries of a message; the first active fault that concerns its type decides."""
         if type(message.message) in self._kinds:
-            for harm in self._faults:
-                if harm.concerns(message):
-                    return harm.deliveries(message)
+            for fault in self._faults:
+                if fault.concerns(message):
+                    return fault.deliveries(message)
         return [Delivery(message.received_t_ns, message)]
 
     def receive(self, reader: str, delivery: Delivery) -> ReceivedMessage | str:
@@ -103,143 +95,84 @@ class MessageFaults:
 
 
 class _Fault:
-    """Base of the faults: harms a share ``size`` of the messages and passes the others."""
+    """One fault and its state: it harms a share ``size`` of the messages, or all, and passes the others."""
 
     def __init__(self, fault: MessageFaultInterval, encode: Encode) -> None:
         self.harmed = 0
-        self.fault = fault
-        self.encode = encode
-        self.rng = np.random.default_rng(fault.seed)
+        self._fault = fault
+        self._encode = encode
+        self._rng = np.random.default_rng(fault.seed)
+        self._kept: dict[type[Message], ReceivedMessage] = {}
+        """Message of a type that waits for its successor, or that is repeated."""
 
     def concerns(self, message: ReceivedMessage) -> bool:
-        """Return True if the fault is active and the message is of its types."""
-        return type(message.message) in self.fault.kinds and self.fault.interval.contains(message.received_t_ns)
+        """Return True if the fault is active and the message is of its types, or another one waits for this."""
+        kind, harm = type(message.message), self._fault.harm
+        is_active = kind in self._fault.kinds and self._fault.interval.contains(message.received_t_ns)
+        return is_active or (harm is MessageFault.REORDER and kind in self._kept)
 
     def deliveries(self, message: ReceivedMessage) -> list[Delivery]:
         """Return the deliveries of a message that the fault concerns."""
-        if not self.meets(message):
-            return [Delivery(message.received_t_ns, message)]
-        self.harmed += 1
-        return self.harm(message)
-
-    def meets(self, message: ReceivedMessage) -> bool:  # noqa: ARG002  (overrides read it)
-        """Return True if this message is to be harmed."""
-        return bool(self.rng.random() < self.fault.size)
-
-    def harm(self, message: ReceivedMessage) -> list[Delivery]:
-        """Return the deliveries of a harmed message."""
-        raise NotImplementedError
-
-
-class _Loss(_Fault):
-    def harm(self, message: ReceivedMessage) -> list[Delivery]:  # noqa: ARG002  (whatever it was)
-        return []
-
-
-class _Delay(_Fault):
-    def meets(self, message: ReceivedMessage) -> bool:  # noqa: ARG002  (all are late by the same time)
-        return True
-
-    def harm(self, message: ReceivedMessage) -> list[Delivery]:
-        return [Delivery(message.received_t_ns + round(1e9 * self.fault.size), message)]
-
-
-class _Reorder(_Fault):
-    """Fault that holds a message back until the next one of its type has passed."""
-
-    def __init__(self, fault: MessageFaultInterval, encode: Encode) -> None:
-        super().__init__(fault, encode)
-        self._waiting: dict[type[Message], ReceivedMessage] = {}
-
-    def concerns(self, message: ReceivedMessage) -> bool:
-        return type(message.message) in self._waiting or super().concerns(message)
-
-    def deliveries(self, message: ReceivedMessage) -> list[Delivery]:
-        at_ns = message.received_t_ns
-        waiting = self._waiting.pop(type(message.message), None)
-        if waiting is not None:
+        at_ns, kind, harm, size = message.received_t_ns, type(message.message), self._fault.harm, self._fault.size
+        unharmed = Delivery(at_ns, message)
+        if harm is MessageFault.REORDER and kind in self._kept:
             self.harmed += 1
-            return [Delivery(at_ns, message), Delivery(at_ns, waiting)]
-        if self.meets(message):
-            self._waiting[type(message.message)] = message
-            return []
-        return [Delivery(at_ns, message)]
+            return [unharmed, Delivery(at_ns, self._kept.pop(kind))]
+        if harm is MessageFault.STALE and kind not in self._kept:
+            self._kept[kind] = message
+            return [unharmed]
+        if harm not in (MessageFault.DELAY, MessageFault.STALE, MessageFault.CLOCK_JUMP) and self._rng.random() >= size:
+            return [unharmed]
+        self.harmed += harm is not MessageFault.REORDER  # else when its successor has passed
+        match harm:
+            case MessageFault.LOSS:
+                return []
+            case MessageFault.REORDER:
+                self._kept[kind] = message
+                return []
+            case MessageFault.DELAY:
+                return [Delivery(at_ns + round(1e9 * size), message)]
+            case MessageFault.DUPLICATE:
+                return [unharmed, Delivery(at_ns + AGAIN_NS, message)]
+            case MessageFault.CORRUPTION:
+                return [Delivery(at_ns, message, self._corrupted(message))]
+            case MessageFault.NOT_A_NUMBER:
+                parts = self._with_bad_number(message.message)
+            case MessageFault.STALE:  # stamps included, under new sequence numbers
+                parts = [self._kept[kind].message]
+            case MessageFault.CLOCK_JUMP:
+                parts = [_ahead(part, round(1e9 * size)) for part in _parts(message.message)]
+        samples = tuple(part for part in parts if isinstance(part, ImuSample))
+        content = ImuSamples(samples=samples) if samples else parts[0]
+        return [Delivery(at_ns, msgspec.structs.replace(message, message=content))]
 
-
-class _Duplicate(_Fault):
-    def harm(self, message: ReceivedMessage) -> list[Delivery]:
-        at_ns = message.received_t_ns
-        return [Delivery(at_ns, message), Delivery(at_ns + AGAIN_NS, message)]
-
-
-class _Corruption(_Fault):
-    def harm(self, message: ReceivedMessage) -> list[Delivery]:
-        payload = bytearray(self.encode(message))
-        for _ in range(int(self.rng.integers(1, MAX_FLIPPED_BITS + 1))):
-            bit = int(self.rng.integers(8 * len(payload)))
+    def _corrupted(self, message: ReceivedMessage) -> bytes:
+        payload = bytearray(self._encode(message))
+        for _ in range(int(self._rng.integers(1, MAX_FLIPPED_BITS + 1))):
+            bit = int(self._rng.integers(8 * len(payload)))
             payload[bit // 8] ^= 1 << bit % 8
-        return [Delivery(message.received_t_ns, message, bytes(payload))]
+        return bytes(payload)
 
-
-class _NotANumber(_Fault):
-    def harm(self, message: ReceivedMessage) -> list[Delivery]:
-        signal = _parts(message.message)[-1]
-        limits = bounds(type(signal)).items()
-        fields = [name for name, of in limits if not of.has_gaps and _is_real(getattr(signal, name))]
-        name = fields[int(self.rng.integers(len(fields)))]
-        bad = NOT_NUMBERS[int(self.rng.integers(len(NOT_NUMBERS)))]
-        values = np.array(getattr(signal, name), dtype=np.float64)
-        values.flat[int(self.rng.integers(values.size))] = bad
-        value = getattr(signal, name)
+    def _with_bad_number(self, signal: Message) -> list[Message]:
+        *others, last = _parts(signal)
+        limits = bounds(type(last)).items()
+        fields = [name for name, of in limits if not of.has_gaps and _is_real(getattr(last, name))]
+        name = fields[int(self._rng.integers(len(fields)))]
+        bad = NOT_NUMBERS[int(self._rng.integers(len(NOT_NUMBERS)))]
+        value = getattr(last, name)
+        values = np.array(value, dtype=np.float64)
+        values.flat[int(self._rng.integers(values.size))] = bad
         new = tuple(values.tolist()) if isinstance(value, tuple) else values if values.ndim else bad
-        harmed = msgspec.structs.replace(signal, **{name: new})
-        return [Delivery(message.received_t_ns, _replaced(message, [*_parts(message.message)[:-1], harmed]))]
-
-
-class _Stale(_Fault):
-    """Fault that repeats the first message of its interval, stamps included, under new sequence numbers."""
-
-    def __init__(self, fault: MessageFaultInterval, encode: Encode) -> None:
-        super().__init__(fault, encode)
-        self._first: dict[type[Message], Message] = {}
-
-    def meets(self, message: ReceivedMessage) -> bool:
-        kind = type(message.message)
-        first = kind not in self._first
-        self._first.setdefault(kind, message.message)
-        return not first
-
-    def harm(self, message: ReceivedMessage) -> list[Delivery]:
-        return [Delivery(message.received_t_ns, _replaced(message, [self._first[type(message.message)]]))]
-
-
-class _ClockJump(_Fault):
-    def meets(self, message: ReceivedMessage) -> bool:  # noqa: ARG002  (it stamps all)
-        return True
-
-    def harm(self, message: ReceivedMessage) -> list[Delivery]:
-        ahead_ns = round(1e9 * self.fault.size)
-        parts = _parts(message.message)
-        stamps = [name for name in STAMPS if name in parts[0].__struct_fields__]
-        jumped = [
-            msgspec.structs.replace(part, **{name: getattr(part, name) + ahead_ns for name in stamps}) for part in parts
-        ]
-        return [Delivery(message.received_t_ns, _replaced(message, jumped))]
+        return [*others, msgspec.structs.replace(last, **{name: new})]
 
 
 STAMPS = ("t_ns", "from_t_ns", "cycle_t_ns")
 """Fields that a publisher stamps by its own clock."""
 
-_FAULTS: Mapping[MessageFault, type[_Fault]] = {
-    MessageFault.LOSS: _Loss,
-    MessageFault.DELAY: _Delay,
-    MessageFault.REORDER: _Reorder,
-    MessageFault.DUPLICATE: _Duplicate,
-    MessageFault.CORRUPTION: _Corruption,
-    MessageFault.NOT_A_NUMBER: _NotANumber,
-    MessageFault.STALE: _Stale,
-    MessageFault.CLOCK_JUMP: _ClockJump,
-}
+
+def _ahead(part: Message, ahead_ns: int) -> Message:
+    stamps = {name: getattr(part, name) + ahead_ns for name in STAMPS if name in part.__struct_fields__}
+    return msgspec.structs.replace(part, **stamps)
 
 
 def _is_real(value: Any) -> bool:
@@ -250,9 +183,3 @@ def _is_real(value: Any) -> bool:
 
 def _parts(signal: Message) -> Sequence[Message]:
     return signal.samples if isinstance(signal, ImuSamples) else (signal,)
-
-
-def _replaced(message: ReceivedMessage, parts: Sequence[Message]) -> ReceivedMessage:
-    """Return the received message with another content, or with other inertial samples."""
-    samples = tuple(part for part in parts if isinstance(part, ImuSample))
-    return msgspec.structs.replace(message, message=ImuSamples(samples=samples) if samples else parts[0])

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
 from benchmarks.faults.effects import Interval
-from ltv_mpc.messages import Disturbance, Message, Plan, PlanOrigin, Solve, SolveStatus, Triple
+from ltv_mpc.messages import Message, Plan, PlanOrigin, Solve, SolveStatus, Triple
 from ltv_mpc.node import Grid, Inbox
 from ltv_mpc.vehicle.parameters import Vehicle
 
@@ -18,46 +17,35 @@ INTRUDERS_STAGES = 17
 INTRUDERS_STAGE_NS = 300_000_000
 
 
-class DisturbanceSource:
-    """Node that publishes each disturbance at its time."""
+class Script:
+    """Node that publishes each of its messages at its time."""
 
-    name = "operator"
     schedule = Grid(PERIOD_NS)
     reads: tuple[type[Message], ...] = ()
-    writes: tuple[type[Message], ...] = (Disturbance,)
 
-    def __init__(self, disturbances: Sequence[tuple[int, Disturbance]]) -> None:
-        """Schedule pairs of vehicle time (ns) and disturbance."""
-        self._waiting = sorted(disturbances, key=lambda pair: pair[0])
+    def __init__(self, name: str, kind: type[Message], messages: Iterable[tuple[int, Message]]) -> None:
+        """Schedule pairs of vehicle time (ns) and message."""
+        self.name, self.writes = name, (kind,)
+        self._waiting = sorted(messages, key=lambda pair: pair[0])
 
     def step(self, t_ns: int, inbox: Inbox) -> list[Message]:  # noqa: ARG002
-        """Return the disturbances that are due."""
-        due = [disturbance for at_ns, disturbance in self._waiting if at_ns <= t_ns]
+        """Return the messages that are due."""
+        due = [message for at_ns, message in self._waiting if at_ns <= t_ns]
         self._waiting = self._waiting[len(due) :]
-        return list(due)
+        return due
 
 
-class Intrusion(NamedTuple):
-    """Interval in which an intruder commands a thrust."""
-
-    interval: Interval
-    thrust_N: Triple  # port, starboard, vertical
+INTRUDER = "intruder"
 
 
-class Intruder:
-    """Node that publishes unauthorised plans, each of which is valid: finite, within limits and constant."""
+def intrusion(interval: Interval, thrust_N: Triple) -> list[tuple[int, Plan]]:
+    """Return the plans of an intruder, each with its time: valid ones of a constant thrust, one each period."""
+    return [(t_ns, steady_plan(t_ns, thrust_N)) for t_ns in range(_grid(interval.start_ns), interval.end_ns, PERIOD_NS)]
 
-    name = "intruder"
-    schedule = Grid(PERIOD_NS)
-    reads: tuple[type[Message], ...] = ()
-    writes: tuple[type[Message], ...] = (Plan,)
 
-    def __init__(self, intrusions: Sequence[Intrusion]) -> None:
-        self._intrusions = intrusions
-
-    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:  # noqa: ARG002
-        """Return one plan each period of an active intrusion."""
-        return [steady_plan(t_ns, one.thrust_N) for one in self._intrusions if one.interval.contains(t_ns)]
+def _grid(t_ns: int) -> int:
+    """Return the first time of the node's grid from ``t_ns`` on."""
+    return -(-t_ns // PERIOD_NS) * PERIOD_NS
 
 
 def steady_plan(t_ns: int, thrust_N: Triple) -> Plan:

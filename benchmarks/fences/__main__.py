@@ -63,10 +63,10 @@ def remarkable(found: dict[str, Flown]) -> str:
     lines = []
     for key, row in sorted(found.items()):
         if " fence " in key and (row.clearance_m < 0.0 or not row.arrived or row.unsolved_s):
-            first = f", first at {row['unsolved_s'][0]:.1f} s" if row.unsolved_s else ""
+            first = f", first at {row.unsolved_s[0]:.1f} s" if row.unsolved_s else ""
             lines.append(
-                f"{key}: clearance {row['clearance_m']:.3f} m, {'arrived' if row['arrived'] else 'not arrived'} "
-                f"after {row['duration_s']:.0f} s, {len(row['unsolved_s'])} of {row['cycles']} cycles unsolved{first}"
+                f"{key}: clearance {row.clearance_m:.3f} m, {'arrived' if row.arrived else 'not arrived'} "
+                f"after {row.duration_s:.0f} s, {len(row.unsolved_s)} of {row.cycles} cycles unsolved{first}"
             )
     return "\n".join(lines)
 

@@ -21,64 +21,17 @@ import argparse
 import sys
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 
 import msgspec
-import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
-from benchmarks import sheet
 from benchmarks.localisation_check import check
 from benchmarks.localisation_check.judgement import MIN_DRAWS
 from ltv_mpc.errors import ConfigError
-from services.reporting.plots import palette
 from services.tools.batch.results_store import open_store
-
-COLUMNS = 3
-
-
-def draw(nees: Mapping[str, check.Graded], title: str, out: Path) -> None:
-    """Plot the NEES per degree of freedom of each quantity over time, with its 95 % band."""
-    with sheet.style(page=True):
-        sheet.write(_figure(nees, title), [out])
-
-
-def _figure(nees: Mapping[str, check.Graded], title: str) -> Figure:
-    rows = -(-len(nees) // COLUMNS)
-    figure = Figure(figsize=(9.0, 0.7 + 1.75 * rows), layout="constrained")
-    panels = figure.subplots(rows, COLUMNS, sharex=True, squeeze=False)
-    for panel, (name, graded) in zip(panels.flat, nees.items(), strict=False):
-        _panel(panel, name, graded)
-    for panel in panels.flat[len(nees) :]:
-        panel.set_axis_off()
-    for column in range(COLUMNS):
-        lowest = max(row for row in range(rows) if row * COLUMNS + column < len(nees))
-        panels[lowest, column].set_xlabel("time (s)")
-        panels[lowest, column].tick_params(labelbottom=True)
-    for row in panels:
-        row[0].set_ylabel("NEES / dof")
-    figure.suptitle(title)
-    sheet.shared_legend(figure, panels.flat[0])
-    return figure
-
-
-def _panel(panel: Axes, name: str, graded: check.Graded) -> None:
-    t, c = graded.t_s, graded.consistency
-    mean, low, high = c.total / c.dof, c.low / c.dof, c.high / c.dof
-    outside = (mean < low) | (mean > high)
-    panel.fill_between(
-        t, low, high, color=palette.REFERENCE, alpha=0.3, linewidth=0, label="95 % of a consistent filter"
-    )
-    panel.axhline(1.0, color=palette.REFERENCE, linewidth=0.8, linestyle=":")
-    panel.plot(t, mean, color=palette.ESTIMATE, label="mean over the runs")
-    panel.plot(t[outside], mean[outside], ".", color=palette.LIMIT, markersize=3.5, label="outside")
-    top = max(1.5 * float(np.max(high)) - 0.5, 1.05 * float(np.max(mean)))
-    panel.set_ylim(0.0, top if len(t) else 2.0)
-    panel.set_title(f"{name.replace('_', ' ')}: mean {c.per_dof:.2f}")
 
 
 def table(of: SimpleNamespace) -> str:
@@ -115,7 +68,7 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=0, help="the first")
     parser.add_argument("--scenario", default="descent", metavar="NAME|FILE")
     parser.add_argument("--json", action="store_true")
-    parser.add_argument("--out", type=Path, help="folder of localisation-check.json and .png; its runs are used again")
+    parser.add_argument("--out", type=Path, help="folder of localisation-check.json; its runs are used again")
     parser.add_argument("--force", action="store_true", help="replace what is in that folder")
     options = parser.parse_args(words)
     if options.runs < 2:
@@ -140,8 +93,6 @@ def main(words: Sequence[str] | None = None) -> int:
         print(f"outside its limit: {problem}", file=sys.stderr if options.json else sys.stdout)
     if out is not None:
         (out / "localisation-check.json").write_text(plain + "\n", encoding="utf-8")
-        title = f"{result.runs} runs, sensors {result.sensors}, {result.surface_time_s:g} s at the surface"
-        draw(check.over_runs([record.nees for record in records]), title, out / "localisation-check.png")
     return 1 if problems else 0
 
 

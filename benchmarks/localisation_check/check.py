@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from types import SimpleNamespace
-from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -41,13 +40,6 @@ class Quantity(msgspec.Struct, frozen=True, kw_only=True):
     drawn: float | None  # of true biases: per degree of freedom, these seeds' own deviation from 1
 
 
-class Graded(NamedTuple):
-    """Consistency of one quantity over time, for the plot."""
-
-    t_s: Array
-    consistency: Consistency
-
-
 def jobs(scenario: str, settings: Sequence[str], *, first_seed: int, runs: int) -> list[Job]:
     """Return one job for each seed. The first is resolved here, to reject bad input early. Raises ``ConfigError``."""
     common = (*settings, "run.perfect_state=false")
@@ -68,7 +60,7 @@ def _seed(job: Job) -> str:
     return job.settings[-1]
 
 
-def over_runs(runs: Sequence[Mapping[str, Squares]]) -> dict[str, Graded]:
+def over_runs(runs: Sequence[Mapping[str, Squares]]) -> dict[str, Consistency]:
     """Combine the runs by name. A run that lacks an instant does not contribute to it."""
     result = {}
     for name in dict.fromkeys(name for run in runs for name in run):
@@ -79,7 +71,7 @@ def over_runs(runs: Sequence[Mapping[str, Squares]]) -> dict[str, Graded]:
             at = np.searchsorted(t_ns, one.t_ns)
             np.add.at(square[i], at, one.square)
             np.add.at(dof[i], at, one.dof)
-        result[name] = Graded(t_s=t_ns[dof.sum(axis=0) > 0] * 1e-9, consistency=consistency(square, dof))
+        result[name] = consistency(square, dof)
     return result
 
 
@@ -90,8 +82,8 @@ def _quantities(records: Sequence[Record], kind: str) -> tuple[list[Quantity], l
     runs: list[dict[str, Squares]] = [getattr(record, kind.lower()) for record in records]
     low, high = 1.0 / (1.0 + TOLERANCE), 1.0 + TOLERANCE
     quantities, of_means, of_shares = [], [], []
-    for name, graded in over_runs(runs).items():
-        mean, share = mean_square([run[name] for run in runs if name in run]), graded.consistency.in_band
+    for name, of_all in over_runs(runs).items():
+        mean, share = mean_square([run[name] for run in runs if name in run]), of_all.in_band
         of_means.append((mean_name(kind, name), mean.value, f"{low:.2f} to {high:.2f}", p_of_mean(mean)))
         if mean.draws >= MIN_DRAWS:
             text = f"share of instants of {kind} of {name} in its band"

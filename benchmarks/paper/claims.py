@@ -8,11 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from benchmarks.batch import in_order
 from benchmarks.page_tables import Table
 from benchmarks.paper.settings import RECORDED, Variant
 from benchmarks.paper.sheets import NONE, OURS_LONG, OURS_SHORT, PAPER_LONG, PAPER_SHORT
 from ltv_mpc import Run, simulate
-from services.tools.batch.executor import run_each
 
 SIGMAS = 2.0
 
@@ -76,31 +76,14 @@ def _current_within(run: Run) -> float:
     return float(np.mean(within))
 
 
-def over_seeds(
-    seeds: int, duration_s: float, *, workers: int | None, progress: Callable[[], None]
-) -> dict[str, list[Descent]]:
+def over_seeds(seeds: int, duration_s: float, *, workers: int | None) -> dict[str, list[Descent]]:
     """Run seeds 0 to ``seeds`` - 1 of each recorded variant but the default; return them by the variant's key."""
-    jobs = [Seed(variant, seed, duration_s) for variant in RECORDED[:-1] for seed in range(seeds)]
-    found = dict(run_each_counted(jobs, workers, progress))
-    return {
-        variant.key: [found[i] for i, job in enumerate(jobs) if job.variant == variant] for variant in RECORDED[:-1]
-    }
-
-
-def run_each_counted(
-    jobs: Sequence[Seed], workers: int | None, progress: Callable[[], None]
-) -> list[tuple[int, Descent]]:
-    """Run the descents and report each."""
-    done = []
-    for result in run_each(descend, jobs, workers=workers):
-        done.append(result)
-        progress()
-    return done
-
-
-def count(seeds: int) -> int:
-    """Return the number of descents of ``over_seeds``."""
-    return seeds * (len(RECORDED) - 1)
+    flown = in_order(
+        descend,
+        [Seed(variant, seed, duration_s) for variant in RECORDED[:-1] for seed in range(seeds)],
+        workers=workers,
+    )
+    return {variant.key: flown[i * seeds : (i + 1) * seeds] for i, variant in enumerate(RECORDED[:-1])}
 
 
 def table(found: Mapping[str, Sequence[Descent]]) -> Table:

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
+from benchmarks.batch import in_order
 from benchmarks.paper.renderer import Run
 from benchmarks.paper.settings import README, RECORDED, Variant
 from services.reporting.plots.recorded import read
 from services.run import folder
 from services.run.run_config import Override, RunConfig, resolve
 from services.tools import lockstep_run
-from services.tools.batch.executor import run_each
 from sim.evaluation.summary import Summary
 
 SEED = 3
@@ -47,9 +46,7 @@ def run_descent(descent: RecordedDescent) -> Summary:
     return lockstep_run.run(run_config, folder.make(run_config.name, run_config.files, out=descent.out, force=True))
 
 
-def recorded(
-    runs: Path, duration_s: float, *, workers: int | None, progress: Callable[[], None]
-) -> dict[str, tuple[Run, Summary]]:
+def recorded(runs: Path, duration_s: float, *, workers: int | None) -> dict[str, tuple[Run, Summary]]:
     """Run the descent of each recorded variant; return its plotted run and its summary, by the variant's key.
 
     Parameters
@@ -57,14 +54,12 @@ def recorded(
     runs : folder with one run folder for each variant.
     duration_s : duration of a descent (s).
     workers : number of processes; one a core if None.
-    progress : called after each descent.
     """
     descents = [RecordedDescent(variant, runs / variant.key, duration_s) for variant in (*RECORDED, *README)]
-    found: dict[str, tuple[Run, Summary]] = {}
-    for index, summary in run_each(run_descent, descents, workers=workers):
-        found[descents[index].variant.key] = plotted_run(descents[index], summary), summary
-        progress()
-    return found
+    summaries = in_order(run_descent, descents, workers=workers)
+    return {
+        one.variant.key: (plotted_run(one, summary), summary) for one, summary in zip(descents, summaries, strict=True)
+    }
 
 
 def plotted_run(descent: RecordedDescent, summary: Summary) -> Run:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Callable
 from typing import NamedTuple
 
 from benchmarks.paper.renderer import Run
@@ -28,7 +27,6 @@ class Cycle(NamedTuple):
 
     horizon_s: float  # the paper's
     reach_s: float  # in whole stages
-    paper_s: float
     cycle_us: Spread
     samples: Samples
 
@@ -40,16 +38,16 @@ class Timed(NamedTuple):
     machine: Machine
 
 
-def timed(cycles: int, *, seed: int = 0, progress: Callable[[], None]) -> Timed:
+def timed(cycles: int, *, seed: int = 0) -> Timed:
     """Measure this number of cycles at each horizon, on the problems of ``ltv-mpc profile``."""
     before = load()
     found = []
-    for horizon_s, paper_s in COMPUTING_S.items():
+    for horizon_s in COMPUTING_S:
         config = settled(ControllerConfig(horizon_s=horizon_s), VEHICLE)
         episodes = problems.simulated(config.stages, cycles, seed)
         warm_up = problems.simulated(config.stages, 1, seed)[0]._replace(cycles=min(WARM_UP, cycles))
-        (samples,) = measure(episodes, [SOLVER], warm_up=warm_up, order=random.Random(seed), progress=progress)
-        found.append(Cycle(horizon_s, config.reach_s, paper_s, Spread.of(samples.cycle_us), samples))
+        (samples,) = measure(episodes, [SOLVER], warm_up=warm_up, order=random.Random(seed), progress=lambda: None)
+        found.append(Cycle(horizon_s, config.reach_s, Spread.of(samples.cycle_us), samples))
     return Timed(found, machine(before))
 
 

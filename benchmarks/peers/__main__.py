@@ -5,13 +5,12 @@ from __future__ import annotations
 import argparse
 import random
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 from rich.console import Console
 from rich.progress import Progress
 
-from benchmarks.peers import known, table
+from benchmarks.peers import known
 from benchmarks.peers.loop import Entry, Held, closed
 from services.tools.profile import machine_description, problems
 from services.tools.profile.measure import Candidate, SolverByName, measure
@@ -26,34 +25,19 @@ OURS: dict[Candidate, str] = {
 
 PACKAGES = ("numpy", "scipy", "numba", "osqp", "daqp", "piqp", "qpsolvers", "qpmpc", "do-mpc", "casadi", "cvxpy")
 
-OUT = Path(__file__).resolve().parents[1] / "results" / "peers.md"
-
-NOTES = (
-    "Every tool is the solver of one and the same controller: prediction of the delay, guess, and the step along the",
-    "exact flow are the same for all and are in the time. Times are of the same problems, those of a loop that the",
-    "first line drives, solved by all in an order drawn anew in each cycle. Median and p99 are interleaved. Hot is the",
-    "same cycle repeated at once; cold is after a flush of the caches, as in a service. Errors are of closed loops",
-    "that each tool drives itself, with the state known. QP: the controller's own convex problem, whose exact solution",
-    "the first thrust is compared with. NLP: the nonlinear problem behind it, to its own local optimum.",
-)
-
 
 def main() -> None:
-    """Measure, print and write."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.peers", description=__doc__)
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--stages", type=int, default=17)
     parser.add_argument("--cycles", type=int, default=400)
     parser.add_argument("--seeds", type=int, default=2, help="of the closed loops")
-    parser.add_argument("--out", type=Path, default=OUT)
     options = parser.parse_args()
-    text = compare(options.stages, options.cycles, options.seeds, Console(stderr=True))
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    options.out.write_text(text, encoding="utf-8")
-    print(text)
+    print(compare(options.stages, options.cycles, options.seeds, Console(stderr=True)))
 
 
 def compare(stages: int, cycles: int, seeds: int, console: Console) -> str:
-    """Return the comparison of all tools that are installed."""
+    """Return the comparison of all tools that are installed, in Markdown."""
     episodes = problems.simulated(stages, cycles, 0)
     loops = [episode for seed in range(seeds) for episode in problems.simulated(stages, cycles, 1000 * seed)]
     peers, missing = known.installed()
@@ -71,47 +55,39 @@ def compare(stages: int, cycles: int, seeds: int, console: Console) -> str:
             progress=lambda: progress.advance(task),
         )
         task = progress.add_task("closed loops", total=len(who) * len(loops))
-        held = {}
+        held: dict[Candidate, list[Held]] = {}
         for candidate in who:
-            outcomes = []
-            for episode in loops:
-                outcomes.append((episode, closed(candidate, episode)))
-                progress.advance(task)
-            held[candidate] = _by_kind(outcomes)
+            held[candidate] = [closed(candidate, episode) for episode in loops]
+            progress.advance(task, len(loops))
+    kinds = ", ".join(dict.fromkeys(episode.kind for episode in loops))
     lines = [
-        table.Line(
-            name=name,
-            solves=candidate.peer.solves if isinstance(candidate, Entry) else "QP",
-            settings=candidate.peer.settings if isinstance(candidate, Entry) else "defaults",
-            cycle_us=Spread.of(sample.cycle_us),
-            repeated_us=Spread.of(sample.repeated_us),
-            flushed_us=Spread.of(sample.flushed_us),
-            thrust_error_N=Spread.of(sample.thrust_error_N),
-            held=held[candidate],
-        )
-        for (candidate, name), sample in zip(who.items(), samples, strict=True)
+        f"# A control step of {stages} stages ({seconds(stages):.1f} s) beside other tools",
+        "",
+        f"| | solves | median (ms) | p99 (ms) | first thrust off, p99 (N) | {kinds}: off (m) | unsolved | settings |",
+        "|" + "---|" * 8,
     ]
-    return table.markdown(
-        lines,
-        title=f"A control step of {stages} stages ({seconds(stages):.1f} s) beside other tools",
-        notes=[*NOTES, f"{cycles} cycles for the times, {seeds} x {cycles} for the errors; `make bench`."],
-        machine=machine_description.machine(load, PACKAGES),
-        packages=PACKAGES,
-    )
-
-
-def _by_kind(outcomes: Sequence[tuple[Episode, Held]]) -> dict[str, Held]:
-    """Return the means over the episodes of a kind, weighted by their cycles."""
-    kinds = {}
-    for kind in dict.fromkeys(episode.kind for episode, _ in outcomes):
-        of_kind = [(episode.cycles, held) for episode, held in outcomes if episode.kind == kind]
-        weights = [cycles for cycles, _ in of_kind]
-        kinds[kind] = Held(
-            off_m=float(np.average([held.off_m for _, held in of_kind], weights=weights)),
-            thrust_N=float(np.average([held.thrust_N for _, held in of_kind], weights=weights)),
-            unsolved=sum(held.unsolved for _, held in of_kind),
+    for (candidate, name), sample in zip(who.items(), samples, strict=True):
+        solves, settings = ("QP", "defaults")
+        if isinstance(candidate, Entry):
+            solves, settings = candidate.peer.solves, candidate.peer.settings
+        cycle_us, thrust_N = Spread.of(sample.cycle_us), Spread.of(sample.thrust_error_N)
+        lines.append(
+            f"| {name} | {solves} | {cycle_us.median / 1e3:.3g} | {cycle_us.p99 / 1e3:.3g} "
+            f"| {f'{thrust_N.p99:.2g}' if solves == 'QP' else ''} | {_off_m(loops, held[candidate])} "
+            f"| {sum(one.unsolved for one in held[candidate])} | {settings} |"
         )
-    return kinds
+    machine = machine_description.machine(load, PACKAGES)
+    measured = f"Measured on: {machine_description.line(machine, PACKAGES)}; commit {machine['commit']}."
+    return "\n".join([*lines, "", f"{cycles} cycles for the times, {seeds} x {cycles} for the errors.", measured])
+
+
+def _off_m(loops: Sequence[Episode], held: Sequence[Held]) -> str:
+    """Return the mean distance from the line by kind of episode, weighted by their cycles."""
+    kinds = dict.fromkeys(episode.kind for episode in loops)
+    of_kind = [[i for i, episode in enumerate(loops) if episode.kind == kind] for kind in kinds]
+    cycles = np.array([episode.cycles for episode in loops])
+    off_m = np.array([one.off_m for one in held])
+    return ", ".join(f"{np.average(off_m[those], weights=cycles[those]):.3f}" for those in of_kind)
 
 
 if __name__ == "__main__":

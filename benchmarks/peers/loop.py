@@ -11,7 +11,7 @@ from ltv_mpc.control.config import ResolvedConfig
 from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.control.solvers import SolverFactory
-from ltv_mpc.messages import Applied, Estimate, Pair, Plan, PlanOrigin, SolveStatus
+from ltv_mpc.messages import Estimate, Pair, Plan, PlanOrigin, SolveStatus
 from ltv_mpc.node import ReceivedMessage
 from services.tools.profile.measure import Candidate
 from services.tools.profile.problems import Episode, seconds
@@ -34,13 +34,12 @@ class Entry:
 
 
 class Loop(ControllerNode):
-    """A node that controls, and notes how far off the line the vehicle is and what its lateral thrusters deliver."""
+    """A node that controls, and notes how far off the line the vehicle is."""
 
     def __init__(self, candidate: Candidate, episode: Episode) -> None:
         make_solver = candidate.solver_factory(episode)
         super().__init__(episode.vehicle, episode.reference, candidate.config(episode), make_solver=make_solver)
         self.off_m: list[float] = []
-        self.thrust_N: list[float] = []
         self.cycles = 0
         self.unsolved = 0
         self._target: Pair | None = None
@@ -48,14 +47,10 @@ class Loop(ControllerNode):
     def receive(self, arrival: ReceivedMessage) -> None:
         """One message, and what it says of the loop once there is a plan."""
         super().receive(arrival)
-        match arrival.message:
-            case Estimate() as estimate if self._target is not None:
-                north, east = self._target
-                self.off_m.append(float(np.hypot(estimate.north_m - north, estimate.east_m - east)))
-            case Applied() as applied if self._target is not None:
-                self.thrust_N.append(float(np.mean(np.abs(applied.thrust_N[:2]))))
-            case _:
-                pass
+        estimate = arrival.message
+        if isinstance(estimate, Estimate) and self._target is not None:
+            north, east = self._target
+            self.off_m.append(float(np.hypot(estimate.north_m - north, estimate.east_m - east)))
 
     def cycle(self, estimate: Estimate, t_ns: int) -> Plan:
         """One plan."""
@@ -72,7 +67,6 @@ class Held:
     """Result of a closed loop."""
 
     off_m: float  # mean distance from the line
-    thrust_N: float  # mean of |F|, both lateral thrusters
     unsolved: int  # cycles without a solution
 
 
@@ -80,4 +74,4 @@ def closed(candidate: Candidate, episode: Episode) -> Held:
     """Run the whole episode in closed loop under the candidate's own plans."""
     loop = Loop(candidate, episode)
     episode.feed(loop, lambda: loop.cycles > episode.cycles)
-    return Held(float(np.mean(loop.off_m)), float(np.mean(loop.thrust_N)), loop.unsolved)
+    return Held(float(np.mean(loop.off_m)), loop.unsolved)

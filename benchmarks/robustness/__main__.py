@@ -1,22 +1,22 @@
 """Robustness table: cases of a wrong file and an unkind sea by laws.
 
-python -m benchmarks.robustness [--quick] [--cases TEXT ...] [--vehicles NAME ...] [--json] [--write]
+python -m benchmarks.robustness [--quick] [--cases TEXT ...] [--vehicles NAME ...] [--out DIR] [--write]
 python -m benchmarks.robustness --tune     tune the rivals of the vehicles again: gains.toml
 
 A case is KEY=VALUE pairs, "mass=1.3 drag=0.7"; cases.py has the keys. Rivals of a vehicle without gains are tuned
-first. All vehicles and cases take hours; runs with ``--json`` are pieces that ``--pieces FILE ... --write`` joins.
+first. All vehicles and cases take hours: what is in DIR already is not flown again.
 """
 
 from __future__ import annotations
 
 import argparse
+import tempfile
 from pathlib import Path
 
 from benchmarks.robustness import flights, page, tuning
 from benchmarks.robustness.cases import CASES, QUICK, parsed
 from benchmarks.robustness.laws import LAWS
 from benchmarks.strangers.flight import FOREIGN, SHIPPED
-from services.run.provenance import provenance_table
 
 QUICK_VEHICLES = ("light_boat", "bluerobotics-boat", "paper")
 
@@ -32,13 +32,9 @@ def main() -> None:
     parser.add_argument("--tasks", nargs="+", choices=flights.TASK_NAMES, default=flights.TASK_NAMES)
     parser.add_argument("--starts", type=int, default=1, help="of each row")
     parser.add_argument("--jobs", type=int, default=2, help="processes")
-    parser.add_argument("--json", action="store_true", help="print all figures as JSON")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="keep the flights; continue those that are there")
     parser.add_argument("--write", action="store_true", help=f"write {page.PAGE}")
     parser.add_argument("--tune", action="store_true", help="tune the rivals instead")
-    parser.add_argument(
-        "--pieces", nargs="+", type=Path, help="JSON of earlier runs, to print or write instead of flying"
-    )
-    parser.add_argument("--commit", default=provenance_table()["commit"], help="version that was flown")
     options = parser.parse_args()
     vehicles = options.vehicles or (QUICK_VEHICLES if options.quick else page.VEHICLES)
     if options.tune:
@@ -50,16 +46,15 @@ def main() -> None:
             parsed(case)
     except ValueError as error:
         parser.error(str(error))
-    if options.pieces:
-        found = page.from_json([piece.read_text() for piece in options.pieces])
-    else:
-        if untuned := [vehicle for vehicle in vehicles if "lqr" not in tuning.gains().get(vehicle, {})]:
-            tuning.tune(untuned, options.jobs)
-        rows = [flights.Row(vehicle, task, case) for vehicle in vehicles for task in options.tasks for case in cases]
-        found = flights.run(rows, LAWS, tuning.gains(), options.starts, options.jobs)
-    print(page.as_json(found) if options.json else f"{page.table(found)}\n\n{page.summary(found)}")
+    if untuned := [vehicle for vehicle in vehicles if "lqr" not in tuning.gains().get(vehicle, {})]:
+        tuning.tune(untuned, options.jobs)
+    rows = [flights.Row(vehicle, task, case) for vehicle in vehicles for task in options.tasks for case in cases]
+    with tempfile.TemporaryDirectory() as folder:
+        out = options.out or Path(folder)
+        found = flights.run(rows, LAWS, tuning.gains(), options.starts, options.jobs, out)
+    print(f"{page.table(found)}\n\n{page.summary(found)}")
     if options.write:
-        page.PAGE.write_text(page.text(found, options.starts, options.commit))
+        page.PAGE.write_text(page.text(found, options.starts))
 
 
 if __name__ == "__main__":

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from itertools import islice
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.batch import in_order
+from benchmarks.batch import keep_each
 from benchmarks.robustness.cases import conditions
 from benchmarks.robustness.laws import Gains, pilot
 from benchmarks.strangers.flight import Conditions, Flight, Start, fly, load
 from benchmarks.strangers.tasks import SETTLING_S, TASKS, Figures, Task, figures, mean_figures, speed_mps
+from services.run.provenance import provenance_table
+from services.tools.batch.results_store import decode, open_store
+from services.tools.campaign.trial import version_of
 
 TASK_NAMES = ("hold", "square")
 FAR_M = 1000.0
@@ -70,9 +73,21 @@ def judged(job: Job) -> Figures:
 
 
 def run(
-    rows: Sequence[Row], laws: Sequence[str], gains: dict[str, Gains], starts: int, workers: int | None
+    rows: Sequence[Row], laws: Sequence[str], gains: dict[str, Gains], starts: int, workers: int | None, folder: Path
 ) -> dict[Row, dict[str, Figures]]:
-    """Fly all rows; return the figures by law, means over the starts."""
-    todo = [Job(row, law, seed, gains[row.vehicle]) for row in rows for law in laws for seed in range(1, starts + 1)]
-    flown = iter(in_order(judged, todo, workers=workers))
-    return {row: {law: mean_figures(list(islice(flown, starts))) for law in laws} for row in rows}
+    """Fly the rows that the folder does not have yet; return the figures by law, means over the starts."""
+    jobs = {
+        (row, law, seed): Job(row, law, seed, gains[row.vehicle])
+        for row in rows
+        for law in laws
+        for seed in range(1, starts + 1)
+    }
+    keys = {key: f"{' '.join(key[0])} {key[1]} {key[2]}" for key in jobs}
+    with open_store(folder, {"benchmark": "robustness", "version": version_of(provenance_table())}) as store:
+        keep_each(judged, {keys[key]: job for key, job in jobs.items()}, store, workers=workers)
+        kept = dict(store.results())
+
+    def flown(row: Row, law: str) -> Figures:
+        return mean_figures([decode(kept[keys[row, law, seed]], Figures) for seed in range(1, starts + 1)])
+
+    return {row: {law: flown(row, law) for law in laws} for row in rows}

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import datetime
-import json
-import math
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +12,7 @@ from benchmarks.robustness.flights import Row
 from benchmarks.robustness.laws import DEFAULT, LAWS, RIVALS
 from benchmarks.strangers.flight import SHIPPED
 from benchmarks.strangers.tasks import Figures
+from services.run.provenance import provenance_table
 
 VEHICLES = ("ellipsoid", "light_boat", *SHIPPED)
 PAGE = Path("docs/notes/robustness-table.md")
@@ -70,15 +68,6 @@ def summary(found: Found) -> str:
     )
 
 
-def as_json(found: Found) -> str:
-    """Return all figures; an arrival that never came is null."""
-    rows = [
-        {**row._asdict(), "laws": {law: figures._asdict() for law, figures in of.items()}, "lead_m": lead_m(of)}
-        for row, of in found.items()
-    ]
-    return json.dumps(rows, indent=1).replace("Infinity", "null")
-
-
 def _cases_flown(found: Found) -> str:
     """Return the number of cases, which vehicles flew fewer of them, and which none."""
     of = {vehicle: len({row.case for row in found if row.vehicle == vehicle}) for vehicle, _, _ in found}
@@ -92,19 +81,7 @@ def _cases_flown(found: Found) -> str:
     )
 
 
-def from_json(pieces: Sequence[str]) -> Found:
-    """Return the figures of several runs that printed them as JSON; a later piece replaces rows of an earlier one."""
-    return {
-        Row(row["vehicle"], row["task"], row["case"]): {
-            law: Figures(**{name: math.inf if value is None else value for name, value in of.items()})
-            for law, of in row["laws"].items()
-        }
-        for piece in pieces
-        for row in json.loads(piece)
-    }
-
-
-def text(found: Found, starts: int, commit: str) -> str:
+def text(found: Found, starts: int) -> str:
     """Return the page."""
     vehicles = ", ".join(f"`{name}`" for name in dict.fromkeys(row.vehicle for row in found))
     return f"""# Robustness table
@@ -117,7 +94,7 @@ those of the vehicle file, beside a tuned PID and LQR?
 true vehicle has half of the file's drag (`benchmarks/robustness/cases.py`). PID and LQR are tuned once a vehicle, on
 the right file; LQR alone is given the current. Starts a row: {starts}. Flown: {vehicles}; {_cases_flown(found)}.
 
-**Date.** {datetime.datetime.now(tz=datetime.UTC):%Y-%m}. **Version.** {commit[:8]}.
+**Date.** {datetime.datetime.now(tz=datetime.UTC):%Y-%m}. **Version.** {provenance_table()["commit"][:8]}.
 
 **Result.** {summary(found)}
 

@@ -115,19 +115,20 @@ class Plant:
         self.force_N = force_N
         c, s = math.cos(heading_rad), math.sin(heading_rad)
         x, y, _ = hull.centre_of_gravity
-        self._x = np.zeros(16)
+        self.state = np.zeros(16)
         """Position of the geometric centre (3), quaternion (4), nu (6), revolutions or thrust (2), heading."""
-        self._x[0], self._x[1] = position_m[0] - c * x + s * y, position_m[1] - s * x - c * y
-        self._x[3], self._x[6] = math.cos(heading_rad / 2), math.sin(heading_rad / 2)
-        self._x[7] = -c * current_mps[0] - s * current_mps[1]
-        self._x[8] = s * current_mps[0] - c * current_mps[1]
+        self.state[0], self.state[1] = position_m[0] - c * x + s * y, position_m[1] - s * x - c * y
+        self.state[3], self.state[6] = math.cos(heading_rad / 2), math.sin(heading_rad / 2)
+        self.state[7] = -c * current_mps[0] - s * current_mps[1]
+        self.state[8] = s * current_mps[0] - c * current_mps[1]
         self._numbers = hull.packed()
         self._inverse = np.linalg.inv(hull.M)
         self._gravity = np.array(hull.centre_of_gravity)
-        self._outside = np.array([*current_mps, *force_N, *shares])
+        self.outside = np.array([*current_mps, *force_N, *shares])
+        """Current, wind and shares, which may be set in place as the state."""
         self._shape = tuple(np.ascontiguousarray(a, dtype=float) for a in (hull.M, self._inverse, hull.D))
         self._strips = np.ascontiguousarray(hull.across, dtype=float), np.ascontiguousarray(hull.along, dtype=float)
-        self._x[15] = heading_rad
+        self.state[15] = heading_rad
 
     def run(self, commands_N: Array, dt_s: float) -> Array:
         """Advance by one step for each pair of commands.
@@ -144,14 +145,14 @@ class Plant:
         """
         track = np.empty((len(commands_N), 8))
         advance(
-            self._x, self._numbers, *self._shape, *self._strips, self._outside, self._gravity,
+            self.state, self._numbers, *self._shape, *self._strips, self.outside, self._gravity,
             np.ascontiguousarray(commands_N, dtype=float), dt_s, track,
         )  # fmt: skip
         return track
 
     def set_outside(self, current_mps: Pair, force_N: Pair) -> None:
         """Change water and wind; the velocity relative to the water stays, as the water carries the hull along."""
-        self._outside[:4] = *current_mps, *force_N
+        self.outside[:4] = *current_mps, *force_N
 
     def step(self, command_N: Pair, dt_s: float) -> Array:
         """Advance by one step; return the row (8,) of ``run``."""
@@ -161,22 +162,22 @@ class Plant:
     @property
     def velocity(self) -> Array:
         """Velocity (6,) relative to the water at the geometric centre, which may be set in place."""
-        return self._x[7:13]
+        return self.state[7:13]
 
     @property
     def heading_rad(self) -> float:
         """Heading, clockwise from north, unwrapped."""
-        return float(self._x[15])
+        return float(self.state[15])
 
     @property
     def actuators(self) -> Array:
         """Revolutions over those of full thrust, or thrust (N), of port and starboard, which may be set in place."""
-        return self._x[13:15]
+        return self.state[13:15]
 
     @property
     def attitude_rad(self) -> Pair:
         """Roll and pitch."""
-        _, _, _, w, x, y, z = self._x[:7]
+        _, _, _, w, x, y, z = self.state[:7]
         return math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y)), math.asin(2 * (w * y - x * z))
 
     def energy_J(self) -> float:

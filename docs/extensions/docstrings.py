@@ -24,7 +24,7 @@ from msgspec import inspect as struct
 from ltv_mpc.messages import Message
 from ltv_mpc.settings_schema import expected
 from services.bus import schema
-from services.bus.protocol import unit, words
+from services.bus.schema import unit, words
 
 if TYPE_CHECKING:
     from sphinx.application import Sphinx

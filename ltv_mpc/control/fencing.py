@@ -1,7 +1,7 @@
 """Fence and obstacles of a controller: what is in force, and the report of what a plan keeps from it.
 
 Rows of the QP (ocp/fence.py) keep the vehicle out. The reference only leads round what stands in the way
-(``geofence/routes.py``): a point by the targets of the horizon (target_placement.py), a path by its schedule.
+(``geofence/allowed_path.py``): a point by the targets of the horizon (target_placement.py), a path by its schedule.
 
 What a zone asks for, and what it asks for where another zone is too near, is in ``geofence/required_clearance.py``. The
 corridor along a path does not bound while the targets lead round a zone.
@@ -18,11 +18,11 @@ from ltv_mpc.control.ocp.fence import CORRIDOR_ROWS
 from ltv_mpc.control.prediction import Start
 from ltv_mpc.control.scaling import characteristic_scales
 from ltv_mpc.control.target_placement import bring_near, lead_round
+from ltv_mpc.geofence.allowed_path import NO_ZONES, Routes
 from ltv_mpc.geofence.fence import Fence, hull_radius_m
 from ltv_mpc.geofence.half_planes import ROWS
 from ltv_mpc.geofence.obstacles import DISC, OBSTACLE_MARGIN, SD_FACTOR, ObstacleTable, largest_variance_m2
 from ltv_mpc.geofence.required_clearance import update_required
-from ltv_mpc.geofence.routes import NO_ZONES, Routes
 from ltv_mpc.geofence.zones import clearances, pack_zones
 from ltv_mpc.messages import Array, Estimate, FenceInForce, FenceReport, Obstacles, Times
 from ltv_mpc.references.follower import PathBeside

@@ -72,10 +72,8 @@ def read(path: Path, source: str, notes: list[str], origin: Origin | None) -> di
         if kind == ".plan":
             plan = config.parse_json(text, source)
             latitude, longitude = map(float, plan["mission"]["plannedHomePosition"][:2])
-            origin, table = (
-                Origin(latitude_deg=latitude, longitude_deg=longitude),
-                _zones(_of_plan(plan, source), source),
-            )
+            origin = Origin(latitude_deg=latitude, longitude_deg=longitude)
+            areas = _of_plan(plan, source)
         else:
             home, *items = read_waypoints(text, source)
             if home.command == WAYPOINT:
@@ -84,9 +82,9 @@ def read(path: Path, source: str, notes: list[str], origin: Origin | None) -> di
                 items.insert(0, home)
             if origin is None:
                 raise ConfigError(source, "", "has no home: item 0, or the [origin] of a reference")
-            table = zones_of(items, source)
+            areas = _of_items(items, source)
         notes.append(f"{source}: has no margins, each zone has {MARGIN_M:g} m")
-        return {"margin_m": MARGIN_M, "origin": msgspec.to_builtins(origin), **table}
+        return {"margin_m": MARGIN_M, "origin": msgspec.to_builtins(origin), **_zones(areas, source)}
     except ConfigError:
         raise
     except (TypeError, KeyError, ValueError, IndexError, OverflowError) as error:

@@ -208,9 +208,7 @@ class Follower:
         same = track is not None and track.start == start
         whole = track.whole if track and same else self.reference.schedule(self._vehicle, start)
         schedule, self.skipped_m = self._allowed(whole)
-        is_point = isinstance(self.reference, Point | Hold)
-        leash_m = math.inf if is_point else max(LEASH_S * self._speeds.cruise_mps, MIN_LEASH_M)
-        return _Track(schedule, whole, start, leash_m)
+        return _Track(schedule, whole, start, max(LEASH_S * self._speeds.cruise_mps, MIN_LEASH_M))
 
     def path_beside(self, t_ns: Times) -> PathBeside | None:
         """Return the path beside a plan: from behind the target at its first knot to ahead of that at its last one.
@@ -248,9 +246,8 @@ class Follower:
         deep = True
         if track.depth_m is not None and self._vehicle.can_dive:
             deep = estimate.depth_m is not None and abs(estimate.depth_m - track.depth_m) <= radius_m
-        self.arrived = (
-            deep and math.dist((estimate.north_m, estimate.east_m), track.whole.table[[NORTH, EAST], -1]) <= radius_m
-        )
+        end_m = track.whole.table[[NORTH, EAST], -1]
+        self.arrived = deep and math.dist((estimate.north_m, estimate.east_m), end_m) <= radius_m
 
     def save(self) -> FollowerState:
         """Return the state that another follower of the same reference continues from."""
@@ -289,25 +286,23 @@ class Follower:
         """
         if self._track is None:
             return
-        track = self._track
-        now_ns = int(t_ns[0])
+        (table, lead_m), leash_m = self._track.schedule, self._track.leash_m
+        length_m, now_ns = self._track.schedule.length_m, int(t_ns[0])
         step_s = min(max(now_ns - self._t_ns, 0) * 1e-9, MAX_STEP_S)
         self._t_ns = max(now_ns, self._t_ns)
-        self._tau_s = min(self._tau_s + self._rate * step_s, track.schedule.duration_s)
+        self._tau_s = min(self._tau_s + self._rate * step_s, float(table[TIME, -1]))
         self._rate, way, cross = advance_target(
-            track.schedule.table, self._tau_s, t_ns, lateral, current, track.leash_m, self._speed_in(current), target
+            table, self._tau_s, t_ns, lateral, current, leash_m, self._speed_in(current), target
         )
         if isinstance(self.reference, Point | Hold):
             self.heading_rad = self.reference.heading_in(current, self.heading_rad)
             if self.heading_rad is not None:
                 target[:-1, 2] = self.heading_rad
             return
-        done = min(max(way - track.schedule.lead_m, 0.0), track.schedule.length_m)
+        done = min(max(way - lead_m, 0.0), length_m)
         known = None if math.isnan(cross) else cross  # NaN: the estimate is not finite
-        share = (
-            done / track.schedule.length_m if track.schedule.length_m > 0.0 else 1.0
-        )  # a timed track may have no length
-        self._progress = Progress(share, known, track.schedule.length_m - done)
+        share = done / length_m if length_m > 0.0 else 1.0  # a timed track may have no length
+        self._progress = Progress(share, known, length_m - done)
 
     def _speed_in(self, current: Pair) -> float:
         """Return the largest speed S through the water (m/s) in a current, by the equation above."""

@@ -82,10 +82,8 @@ def origin_distance_m(first: Origin, second: Origin) -> float:
     ----------
     first, second : origins on the ellipsoid.
     """
-    step = pymap3d.geodetic2ned(
-        first.latitude_deg, first.longitude_deg, 0.0, second.latitude_deg, second.longitude_deg, 0.0
-    )
-    return math.hypot(*step)
+    one, other = ((of.latitude_deg, of.longitude_deg, 0.0) for of in (first, second))
+    return math.hypot(*pymap3d.geodetic2ned(*one, *other))
 
 
 def tangent_plane(latitude_deg: float, longitude_deg: float, origin: Origin) -> Pair:
@@ -96,9 +94,8 @@ def tangent_plane(latitude_deg: float, longitude_deg: float, origin: Origin) -> 
     latitude_deg, longitude_deg : coordinates of the point (degrees).
     origin : point of tangency.
     """
-    north, east, _ = pymap3d.geodetic2ned(
-        latitude_deg, longitude_deg, 0.0, origin.latitude_deg, origin.longitude_deg, 0.0
-    )
+    place, tangency = (latitude_deg, longitude_deg, 0.0), (origin.latitude_deg, origin.longitude_deg, 0.0)
+    north, east, _ = pymap3d.geodetic2ned(*place, *tangency)
     return float(north), float(east)
 
 
@@ -110,10 +107,8 @@ def degrees(north_m: float, east_m: float, origin: Origin) -> Pair:
     north_m, east_m : coordinates in the tangent plane (m).
     origin : point of tangency.
     """
-    latitude, longitude, down = origin.latitude_deg, origin.longitude_deg, 0.0
+    tangency, down = (origin.latitude_deg, origin.longitude_deg, 0.0), 0.0
     for _ in range(4):  # the plane lies above the ellipsoid by d^2 / (2 R): 200 m at 50 km
-        latitude, longitude, above = pymap3d.ned2geodetic(
-            north_m, east_m, down, origin.latitude_deg, origin.longitude_deg, 0.0
-        )
+        latitude, longitude, above = pymap3d.ned2geodetic(north_m, east_m, down, *tangency)
         down += float(above)
     return float(latitude), float(longitude)

@@ -106,9 +106,8 @@ def read_waypoints(text: str, source: str) -> list[Item]:
                 number, _, frame, command, *parameters, latitude, longitude, altitude, _ = cells
                 if len(parameters) != 4:
                     raise ValueError
-                items.append(
-                    Item(int(number), int(command), int(frame), tuple(parameters), latitude, longitude, altitude)
-                )
+                place = latitude, longitude, altitude
+                items.append(Item(int(number), int(command), int(frame), tuple(parameters), *place))
         except (ValueError, OverflowError):
             raise ConfigError(source, f"line {k}", "must have 12 numbers", value=line[:60]) from None
     if not items:
@@ -187,9 +186,8 @@ def _geojson(text: str, source: str) -> Content:
         home = None if origin is None else _origin(origin["latitude_deg"], origin["longitude_deg"])
     except (TypeError, KeyError, ValueError):
         raise ConfigError(source, "origin", "must have latitude_deg and longitude_deg") from None
-    return home, _path(
-        [(place["latitude_deg"], place["longitude_deg"]) for place in places], properties.get("speed_mps")
-    )
+    positions = [(place["latitude_deg"], place["longitude_deg"]) for place in places]
+    return home, _path(positions, properties.get("speed_mps"))
 
 
 READERS = {".waypoints": _waypoints, ".plan": _plan, ".gpx": _gpx, ".geojson": _geojson, ".json": _geojson}

@@ -175,20 +175,10 @@ def with_lead_in(path: Path, start: Array, shortest_m: float) -> tuple[Path, flo
         return path, 0.0
     first = first_leg(path)
     turn = abs(math.remainder(math.atan2(first[1], first[0]) - math.atan2(leg[1], leg[0]), 2.0 * math.pi))
-    turn_on_spot = path.turn_on_spot.copy()
+    turn_on_spot, zero = path.turn_on_spot.copy(), np.zeros(1)
     turn_on_spot[0] = turn if turn >= STRAIGHT_RAD else 0.0
-    return (
-        Path(
-            np.concatenate([start[None], path.points]),
-            np.concatenate([path.depth[:1], path.depth]),
-            np.concatenate([[0.0], path.curvature]),
-            np.concatenate([[0.0], path.turn]),
-            np.concatenate([[0.0], turn_on_spot]),
-            np.concatenate([path.speed[:1], path.speed]),
-            np.concatenate([[0.0], path.wait]),
-        ),
-        length,
-    )
+    ahead = Path(start[None], path.depth[:1], zero, zero, zero, path.speed[:1], zero)
+    return Path(*map(np.concatenate, zip(ahead, path._replace(turn_on_spot=turn_on_spot), strict=True))), length
 
 
 def first_leg(path: Path) -> Array:

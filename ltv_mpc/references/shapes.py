@@ -180,9 +180,8 @@ class Waypoints(Shape, frozen=True, kw_only=True, tag="waypoints"):
         at = np.rint(fit.at[fixed]).astype(np.int64)
         rest = np.zeros(len(fit.ends))
         rest[at] = wait[fixed]
-        wanted = np.concatenate([[leaves[0]], leaves[fixed]])[
-            np.searchsorted(at, np.arange(len(rest) - 1), side="right")
-        ]
+        before = np.searchsorted(at, np.arange(len(rest) - 1), side="right")  # fixed points before each leg
+        wanted = np.concatenate([[leaves[0]], leaves[fixed]])[before]
         return round_corners(fit.ends[:, :2], fit.ends[:, 2], self.corner_m, wanted, rest), fit, doubled.tolist()
 
     def _places(self) -> tuple[list[Waypoint], Array]:

@@ -9,6 +9,7 @@ by the noise of a log are smoothed as those of a path (``leg_fit.py``).
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated, TypeAlias
 
@@ -23,7 +24,7 @@ from ltv_mpc.references.base import BaseReference
 from ltv_mpc.references.csv_places import DEPTH, METRES, read_places
 from ltv_mpc.references.leg_fit import along, fit_legs
 from ltv_mpc.references.limits import path_limits
-from ltv_mpc.references.path import smooth_curve, with_lead_in
+from ltv_mpc.references.path import smooth_curve
 from ltv_mpc.references.schedule import TIME, Schedule, fastest_schedule
 from ltv_mpc.references.shapes import LEAD_IN_M
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -77,26 +78,20 @@ class Timed(BaseReference, frozen=True, kw_only=True, tag="timed"):
         vehicle : parameters of the vehicle, which limit the speed.
         anchor : start of the reference, from which a straight leg leads to the first row; None: start at that row.
         """
-        table = self._table(vehicle)
-        if table[TIME, 0] > 0.0:  # until then the target rests at the first row
-            first = table[:, :1].copy()
-            first[TIME] = 0.0
-            table = np.concatenate([first, table], axis=1)
-        track = smooth_curve(table[2:4].T, np.zeros(table.shape[1] - 1))._replace(depth=table[4])
-        if anchor is None:
-            return TimedSchedule(table, 0.0)
-        start = np.array([anchor.north_m, anchor.east_m])
-        moved, lead_m = with_lead_in(track, start, LEAD_IN_M)
-        if lead_m == 0.0:
-            return TimedSchedule(table, 0.0)
-        leg = smooth_curve(moved.points[:2], np.zeros(1))._replace(depth=moved.depth[:2])
-        lead = fastest_schedule(leg, path_limits(vehicle), descent_rate_mps=self.descent_rate_mps).table
+        table, lead_m = self._table(vehicle), 0.0
+        lead = table[:, [0, 0] if table[TIME, 0] > 0.0 else [0]]  # the target rests at the first row until its time
+        if anchor is not None:
+            ends = np.array([[anchor.north_m, anchor.east_m], table[2:4, 0]])
+            distance_m = math.dist(*ends)
+            if distance_m >= LEAD_IN_M:
+                leg, lead_m = smooth_curve(ends, np.zeros(1))._replace(depth=table[4, [0, 0]]), distance_m
+                lead = fastest_schedule(leg, path_limits(vehicle), descent_rate_mps=self.descent_rate_mps).table
         # the target reaches the first row at its time, or as soon as possible after it
         begin = max(float(table[TIME, 0]), float(lead[TIME, -1]))
         lead[TIME] += begin - lead[TIME, -1]
+        lead[TIME, 0] = 0.0
         table[TIME] += begin - table[TIME, 0]
         table[1] += lead_m
-        lead[TIME, 0] = 0.0
         return TimedSchedule(np.concatenate([lead, table[:, 1:]], axis=1), lead_m)
 
     def notes(self, vehicle: Vehicle) -> list[str]:
@@ -120,10 +115,9 @@ class Timed(BaseReference, frozen=True, kw_only=True, tag="timed"):
     def _table(self, vehicle: Vehicle) -> Array:
         """Return the table (5, K) of the schedule: each row at its time, or as soon as the vehicle can be there."""
         rows, limits = np.array(self.rows), path_limits(vehicle)
-        depth = (
-            rows[:, 3] if rows.shape[1] == 4 else np.full(len(rows), np.nan if self.depth_m is None else self.depth_m)
-        )
-        fit = fit_legs(np.column_stack([rows[:, 1:3], depth]), CORNER_M)
+        if rows.shape[1] == 3:
+            rows = np.column_stack([rows, np.full(len(rows), np.nan if self.depth_m is None else self.depth_m)])
+        fit = fit_legs(rows[:, 1:], CORNER_M)
         points = along(fit.ends, fit.at)
         corners = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(fit.ends[:, :2], axis=0).T))])
         way = np.interp(fit.at, np.arange(len(corners)), corners)

@@ -154,16 +154,7 @@ class Hold(Station, frozen=True, kw_only=True, tag="hold"):
         return anchor.north_m, anchor.east_m
 
 
-Reference: TypeAlias = (
-    Point
-    | Hold
-    | Line
-    | Waypoints
-    | Lawnmower
-    | Circle
-    | Spiral
-    | Timed
-)  # fmt: skip
+Reference: TypeAlias = Point | Hold | Line | Waypoints | Lawnmower | Circle | Spiral | Timed
 
 
 def load(name: str) -> Reference:
@@ -183,7 +174,6 @@ def load(name: str) -> Reference:
     reference: Reference = config.load(name, Reference, what="reference", package=PACKAGE)  # type: ignore[arg-type]
     if isinstance(reference, Timed) and reference.file:
         path = config.find(name, what="reference", package=PACKAGE)
-        return from_csv(
-            reference, path.parent / reference.file, source=config.error_source(path, what="reference", name=name)
-        )
+        source = config.error_source(path, what="reference", name=name)
+        return from_csv(reference, path.parent / reference.file, source=source)
     return reference

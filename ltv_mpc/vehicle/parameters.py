@@ -160,10 +160,8 @@ class Vehicle(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     def __post_init__(self) -> None:
         """Reject parameters that contradict each other."""
         if (self.thruster.vertical is None) != (self.heave is None):
-            if self.heave is None:
-                missing, present = "[heave]", "[thruster.vertical]"
-            else:
-                missing, present = "[thruster.vertical]", "[heave]"
+            parts = ("[heave]", "[thruster.vertical]")
+            missing, present = parts if self.heave is None else parts[::-1]
             raise ValueError(
                 f"{missing} is missing but {present} is present: "
                 "give both for a vehicle that dives, neither for a surface craft"

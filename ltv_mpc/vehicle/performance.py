@@ -68,9 +68,7 @@ def performance(vehicle: Vehicle) -> Performance:
     """Return the performance of a vehicle."""
     ahead, astern = straight_thrusts(vehicle, ahead=True), straight_thrusts(vehicle, ahead=False)
     top, top_astern = top_speed(vehicle, ahead), top_speed(vehicle, astern)
-    rate_starboard, rate_port = (
-        _steady_yaw_rate(vehicle, turning_thrusts(vehicle, starboard=side)) for side in (True, False)
-    )
+    rate_starboard, rate_port = _steady_yaw_rates(vehicle)
     stop = stopping(vehicle, top or 0.0)
     to_starboard = rate_starboard is None or rate_port is None or abs(rate_starboard) <= abs(rate_port)
     turn = turning_thrusts(vehicle, starboard=to_starboard)
@@ -188,14 +186,18 @@ def fastest_drag_rate_per_s(vehicle: Vehicle) -> float:
     It is the largest of surge at top speed, sway at ``SWAY_OVER_SURGE`` of it, and yaw at the steady yaw rate.
     """
     p, top = vehicle.coefficients(), top_speed(vehicle, straight_thrusts(vehicle, ahead=True)) or 0.0
-    turn = max(
-        abs(_steady_yaw_rate(vehicle, turning_thrusts(vehicle, starboard=side)) or 0.0) for side in (True, False)
-    )
+    turn = max(abs(rate or 0.0) for rate in _steady_yaw_rates(vehicle))
     return max(
         (p.linear_surge + 2.0 * p.quadratic_surge * top) / p.mass_surge,
         (p.linear_sway + 2.0 * p.quadratic_sway * SWAY_OVER_SURGE * top) / p.mass_sway,
         (p.linear_yaw + 2.0 * p.quadratic_yaw * turn) / p.inertia_yaw,
     )
+
+
+def _steady_yaw_rates(vehicle: Vehicle) -> tuple[float | None, float | None]:
+    """Return the steady yaw rates (rad/s) to starboard and to port."""
+    starboard, port = (turning_thrusts(vehicle, starboard=side) for side in (True, False))
+    return _steady_yaw_rate(vehicle, starboard), _steady_yaw_rate(vehicle, port)
 
 
 def _steady_yaw_rate(vehicle: Vehicle, F: Array) -> float | None:

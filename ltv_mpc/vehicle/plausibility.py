@@ -9,6 +9,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
+import msgspec
+
 from ltv_mpc.vehicle.parameters import Thruster, Translation, Vehicle
 from ltv_mpc.vehicle.performance import Performance, fastest_drag_rate_per_s
 from ltv_mpc.vehicle.thruster import thrust
@@ -88,12 +90,10 @@ def _size_warnings(vehicle: Vehicle) -> Iterator[str]:
 
 def _reference_point_warnings(vehicle: Vehicle) -> Iterator[str]:
     point, high = vehicle.reference_point, REFERENCE_POINT_OVER_SIZE * _size(vehicle)
-    for name, offset in (("forward_m", point.forward_m), ("starboard_m", point.starboard_m), ("down_m", point.down_m)):
+    for name, offset in msgspec.structs.asdict(point).items():
         if abs(offset) > high:
-            yield (
-                f"[reference_point] {name} = {offset:g}: within {high:.2g} m of the centre fits "
-                f"{vehicle.dry_mass_kg:g} kg; is it in m?"
-            )
+            fits = f"within {high:.2g} m of the centre fits {vehicle.dry_mass_kg:g} kg"
+            yield f"[reference_point] {name} = {offset:g}: {fits}; is it in m?"
 
 
 def _lateral_thruster_warnings(vehicle: Vehicle) -> Iterator[str]:
@@ -108,40 +108,32 @@ def _lateral_thruster_warnings(vehicle: Vehicle) -> Iterator[str]:
         if thruster.min_N == 0.0:
             yield f"[thruster.{name}] min_N = 0: no thrust astern, so the vehicle cannot brake"
         yield from _thruster_time_warnings(f"[thruster.{name}]", thruster)
-    push = vehicle.thruster.port.max_N + vehicle.thruster.starboard.max_N
+    push, mass = vehicle.thruster.port.max_N + vehicle.thruster.starboard.max_N, vehicle.surge.mass_kg
     low, high = ACCELERATION_MPS2
-    if not low <= push / vehicle.surge.mass_kg <= high:
-        yield (
-            f"[thruster] {push:g} N on {vehicle.surge.mass_kg:g} kg is {push / vehicle.surge.mass_kg:.2g} m/s2: "
-            f"{low:g} to {high:g} are usual; is the thrust in kN or gf, or the mass in g or t?"
-        )
+    if not low <= push / mass <= high:
+        usual = f"{low:g} to {high:g} are usual; is the thrust in kN or gf, or the mass in g or t?"
+        yield f"[thruster] {push:g} N on {mass:g} kg is {push / mass:.2g} m/s2: {usual}"
 
 
 def _thruster_time_warnings(where: str, thruster: Thruster) -> Iterator[str]:
-    full = thruster.max_N / thruster.slew_N_per_s
-    if full + thruster.lag_s < MIN_THRUSTER_TIME_S:
-        yield (
-            f"{where} lag_s = {thruster.lag_s:g}, slew_N_per_s = {thruster.slew_N_per_s:g}: full thrust in "
-            f"{1e3 * (full + thruster.lag_s):.2g} ms; 0.1 to 1 s are usual"
-        )
-    if full + thruster.lag_s > MAX_THRUSTER_TIME_S:
-        yield (
-            f"{where} lag_s = {thruster.lag_s:g}, slew_N_per_s = {thruster.slew_N_per_s:g}: full thrust after "
-            f"{full + thruster.lag_s:.2g} s; is the lag in ms, or the slew per minute?"
-        )
+    full_s = thruster.max_N / thruster.slew_N_per_s + thruster.lag_s
+    field = f"{where} lag_s = {thruster.lag_s:g}, slew_N_per_s = {thruster.slew_N_per_s:g}"
+    if full_s < MIN_THRUSTER_TIME_S:
+        yield f"{field}: full thrust in {1e3 * full_s:.2g} ms; 0.1 to 1 s are usual"
+    if full_s > MAX_THRUSTER_TIME_S:
+        yield f"{field}: full thrust after {full_s:.2g} s; is the lag in ms, or the slew per minute?"
 
 
 def _damping_warnings(vehicle: Vehicle) -> Iterator[str]:
-    for name, means in (
-        ("surge", "there is no top speed"),
-        ("sway", "a sideways drift never ends"),
-        ("heave", "the sinking speed has no limit"),
+    p = vehicle.coefficients()
+    for name, damping, means in (
+        ("surge", p.linear_surge + p.quadratic_surge, "there is no top speed"),
+        ("sway", p.linear_sway + p.quadratic_sway, "a sideways drift never ends"),
+        ("heave", p.linear_heave + p.quadratic_heave, "the sinking speed has no limit"),
+        ("yaw", p.linear_yaw + p.quadratic_yaw, "a turn never ends"),
     ):
-        table: Translation | None = getattr(vehicle, name)
-        if table is not None and table.linear_damping_kgps + table.quadratic_damping_kgpm == 0.0:
+        if damping == 0.0 and getattr(vehicle, name) is not None:
             yield f"[{name}] both dampings are 0: {means}"
-    if vehicle.yaw.linear_damping_Nms + vehicle.yaw.quadratic_damping_kgm2 == 0.0:
-        yield "[yaw] both dampings are 0: a turn never ends"
 
 
 def _motion_warnings(vehicle: Vehicle, can: Performance) -> Iterator[str]:
@@ -155,26 +147,23 @@ def _motion_warnings(vehicle: Vehicle, can: Performance) -> Iterator[str]:
         yield f"a turn by 90 deg takes {can.turn_90deg_s:.0f} s: is arm_m in m and inertia_kgm2 in kg m2?"
     fastest = fastest_drag_rate_per_s(vehicle)
     if fastest > MAX_DRAG_RATE_PER_S:
-        yield (
-            f"drag changes the motion within {1.0 / fastest:.2g} s: stages of 0.3 s resolve at least "
-            f"{1.0 / MAX_DRAG_RATE_PER_S:g} s"
-        )
+        least = f"stages of 0.3 s resolve at least {1.0 / MAX_DRAG_RATE_PER_S:g} s"
+        yield f"drag changes the motion within {1.0 / fastest:.2g} s: {least}"
 
 
 def _propeller_warnings(vehicle: Vehicle, top: float) -> Iterator[str]:
     largest_m = MAX_PROPELLER_OVER_SIZE * _size(vehicle)
     for name, thruster in (("port", vehicle.thruster.port), ("starboard", vehicle.thruster.starboard)):
         where, diameter_m, rps = f"[thruster.{name}]", thruster.propeller_diameter_m, thruster.max_rps
+        tips_mps = math.pi * diameter_m * rps
         gives = thrust(rps, top, vehicle.water_density_kgpm3, diameter_m)
         at_top = f"at the top speed of {top:.3g} m/s a propeller of {diameter_m:g} m gives {max(gives, 0.0):.3g} N"
         if diameter_m > largest_m:
             fits = f"at most {largest_m:.2g} m fits {vehicle.dry_mass_kg:g} kg"
             yield f"{where} propeller_diameter_m = {diameter_m:g}: {fits}; is it in m?"
-        elif math.pi * diameter_m * rps > MAX_TIP_MPS:
-            yield (
-                f"{where} max_rps = {rps:g}: the tips of a propeller of {diameter_m:g} m move at "
-                f"{math.pi * diameter_m * rps:.0f} m/s; is it in rev/min?"
-            )
+        elif tips_mps > MAX_TIP_MPS:
+            tips = f"the tips of a propeller of {diameter_m:g} m move at {tips_mps:.0f} m/s"
+            yield f"{where} max_rps = {rps:g}: {tips}; is it in rev/min?"
         elif gives < 0.95 * thruster.max_N:
             yield f"{where} max_rps = {rps:g}: {at_top}, max_N = {thruster.max_N:g}"
         elif gives > MAX_PROPELLER_OVER_THRUST * thruster.max_N:
@@ -191,10 +180,8 @@ def _heave_warnings(vehicle: Vehicle) -> Iterator[str]:
     if up < vertical.min_N:
         yield f"net_buoyancy_N = {up:g}: below the vertical thruster's min_N = {vertical.min_N:g}, cannot rise"
     if vehicle.failsafe_vertical_N > up:
-        yield (
-            f"failsafe_vertical_N = {vehicle.failsafe_vertical_N:g}: more than net_buoyancy_N = {up:g}: "
-            "without a plan the vehicle sinks"
-        )
+        more = f"failsafe_vertical_N = {vehicle.failsafe_vertical_N:g}: more than net_buoyancy_N = {up:g}"
+        yield f"{more}: without a plan the vehicle sinks"
 
 
 def _size(vehicle: Vehicle) -> float:

@@ -38,9 +38,8 @@ def shaft_power_W(thrust_N: Array, inflow_mps: Array, thruster: Thruster, water_
     rho, d = water_density_kgpm3, thruster.propeller_diameter_m
     n = np.vectorize(revolutions, otypes=[np.float64])(thrust_N, inflow_mps, rho, d)
     # Q = K_Q0 rho d^5 |n| n - K_Q1 rho d^4 v_T |n|
-    torque_Nm = thruster.torque_coefficient * rho * d**5 * np.abs(
-        n
-    ) * n - thruster.torque_inflow_coefficient * rho * d**4 * inflow_mps * np.abs(n)
+    K_Q0, K_Q1 = thruster.torque_coefficient, thruster.torque_inflow_coefficient
+    torque_Nm = (K_Q0 * rho * d**5 * n - K_Q1 * rho * d**4 * inflow_mps) * np.abs(n)
     power: Array = np.maximum(2.0 * np.pi * n * torque_Nm, 0.0)
     return power
 

@@ -97,9 +97,8 @@ def linearise_stage(
             part, weight, ahead = runge_kutta(node, d)
             t = i * d + ahead
             m = 2 * i + (node + 1) // 2
-            if (
-                m != before
-            ):  # the two slopes in the middle share an instant, and so do the end of a step and the start of the next
+            # the two slopes in the middle share an instant, and so do the end of a step and the start of the next
+            if m != before:
                 before = m
                 F1, F2 = delivered(lag, m, X, u0, uh)
                 for j in range(2 * COLUMNS):

@@ -142,3 +142,37 @@ def _number_or_null(field_type: struct.Type) -> Schema:
         return _value(field_type)
     (number,) = (_value(member) for member in field_type.types if not isinstance(member, struct.NoneType))
     return number | {"type": [number["type"], "null"]}
+
+
+def unit(field: Field) -> str:
+    """Return unit and bounds, as in ``m, +-1e+06`` or ``m, -100 to 12000``; empty without bounds."""
+    if field.bounds is None:
+        return ""
+    low, high = field.bounds.low, field.bounds.high
+    return f"{field.bounds.unit}, " + (f"+-{_bound(high)}" if low == -high else f"{_bound(low)} to {_bound(high)}")
+
+
+def _bound(bound: float) -> str:
+    """Format a bound; limits of integers are written as powers of two."""
+    for power in (48, 53, 63):
+        if abs(bound) == 2**power - 1:
+            return f"{'-' if bound < 0 else ''}(2^{power}-1)"
+    return f"{bound:g}"
+
+
+def words(value: Schema) -> str:
+    """Describe the type of a field, as in ``3 x number`` or ``list of lists of number or null``."""
+    if "anyOf" in value:
+        return " or ".join(words(x) for x in value["anyOf"])
+    if "enum" in value:
+        return " | ".join(value["enum"])
+    kind = value["type"]
+    if isinstance(kind, list):
+        return " or ".join(kind)
+    if kind == "array":
+        many = f"{value['minItems']} x" if "minItems" in value else "list of"
+        return f"{many} {words(value['items'])}"
+    if kind == "object":
+        names = [*value.get("properties", ()), *(name.strip("^$") for name in value.get("patternProperties", ()))]
+        return f"map of {', '.join(names)}" if names else "map"
+    return str(kind)

@@ -50,11 +50,7 @@ class WireError(ValueError):
 
 def to_map(message: Message, header: Header) -> dict[str, Any]:
     """Return header and message as one map of builtins: numbers, text, lists, maps, null."""
-    plain_map: dict[str, Any] = {
-        "epoch": header.epoch,
-        "sequence": header.sequence,
-        "sent_monotonic_us": header.sent_monotonic_us,
-    }
+    plain_map: dict[str, Any] = msgspec.structs.asdict(header)
     plain_map.update(msgspec.to_builtins(message, enc_hook=to_wire))
     if plain_map["epoch"] != header.epoch:
         raise ValueError(f"a record of epoch {plain_map['epoch']} cannot be sent by epoch {header.epoch}")

@@ -64,10 +64,7 @@ for _panel, _commands in PANELS.items():
 
 
 @app.callback(invoke_without_command=True)
-def _about(
-    context: typer.Context,
-    version: Annotated[bool, flag("--version", VERSION)] = False,
-) -> None:
+def _about(context: typer.Context, version: Annotated[bool, flag("--version", VERSION)] = False) -> None:
     """Model predictive control of an underactuated AUV in an estimated water current, over Zenoh."""
     if version:
         from services.run.version import version as ours

@@ -138,7 +138,7 @@ def check(
     for name, value in needing.items():
         if reference is None and value:
             raise invalid(f"option {name}", "needs --reference NAME|FILE, the mission to check")
-    loaded = Vehicle.load(file)
+    loaded, place = Vehicle.load(file), None if start is None else _place(start)
     from services.tools import mission_check, vehicle_check
 
     result = vehicle_check.check(loaded)
@@ -149,7 +149,7 @@ def check(
 
         notes: list[str] = []
         followed = references.load(reference)
-        zones, place = fence_for(loaded, followed, fence or "", notes), None if start is None else _place(start)
+        zones = fence_for(loaded, followed, fence or "", notes)
         picture = mission_check.picture(loaded, followed, zones, place)
         mission = mission_check.check_mission(
             loaded,

@@ -16,9 +16,9 @@ import hmac
 import secrets
 from collections.abc import Iterable
 
-from starlette.datastructures import Headers, MutableHeaders
+from starlette.datastructures import Headers
 from starlette.responses import PlainTextResponse
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.types import ASGIApp, Receive, Scope, Send
 
 LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
 TOKEN_BYTES = 24
@@ -29,14 +29,18 @@ SECURITY_POLICY = (
 )
 """Inline styles are allowed because plotly sets them; of inline scripts only those that are named by their hashes."""
 
-HEADERS = {
-    "x-content-type-options": "nosniff",
-    "x-frame-options": "DENY",
-    "referrer-policy": "no-referrer",
-    "cross-origin-resource-policy": "same-origin",
-    "cache-control": "no-store",
-}
-"""Headers of every response, beside the security policy."""
+
+def headers(inline_scripts: Iterable[str]) -> list[tuple[str, str]]:
+    """Return the headers of every response; a page that this page opens may have ``inline_scripts``."""
+    hashes = (base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in inline_scripts)
+    return [
+        ("content-security-policy", SECURITY_POLICY.format(scripts="".join(f" 'sha256-{one}'" for one in hashes))),
+        ("x-content-type-options", "nosniff"),
+        ("x-frame-options", "DENY"),
+        ("referrer-policy", "no-referrer"),
+        ("cross-origin-resource-policy", "same-origin"),
+        ("cache-control", "no-store"),
+    ]
 
 
 class Token:
@@ -70,36 +74,18 @@ def rejection_reason(scope: Scope, allowed: frozenset[str]) -> str:
 
 
 class AccessGuard:
-    """ASGI middleware: rejects with 403 what ``rejection_reason`` names and adds headers to every response."""
+    """ASGI middleware: rejects with 403 what ``rejection_reason`` names; ``allowed`` are the accepted Host headers."""
 
-    def __init__(self, app: ASGIApp, *, allowed: frozenset[str], inline_scripts: Iterable[str] = ()) -> None:
-        """Accept the Host headers ``allowed``; a page that this page opens may have ``inline_scripts``."""
+    def __init__(self, app: ASGIApp, *, allowed: frozenset[str]) -> None:
         self._app = app
         self._allowed = allowed
-        hashes = "".join(f" 'sha256-{_sha256(script)}'" for script in inline_scripts)
-        self._headers = {**HEADERS, "content-security-policy": SECURITY_POLICY.format(scripts=hashes)}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Handle a connection (ASGI)."""
-        if scope["type"] not in ("http", "websocket"):
-            await self._app(scope, receive, send)
-            return
-        why = rejection_reason(scope, self._allowed)
+        why = rejection_reason(scope, self._allowed) if scope["type"] in ("http", "websocket") else ""
         if not why:
-            await self._app(scope, receive, self._with_headers(send))
+            await self._app(scope, receive, send)
         elif scope["type"] == "http":
-            await PlainTextResponse(f"refused: {why}\n", 403)(scope, receive, self._with_headers(send))
+            await PlainTextResponse(f"refused: {why}\n", 403)(scope, receive, send)
         else:  # the server answers a close before the accept with 403
             await send({"type": "websocket.close", "code": 1008, "reason": why})
-
-    def _with_headers(self, send: Send) -> Send:
-        async def sent(message: Message) -> None:
-            if message["type"] == "http.response.start":
-                MutableHeaders(scope=message).update(self._headers)
-            await send(message)
-
-        return sent
-
-
-def _sha256(text: str) -> str:
-    return base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()

@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import enum
 import time
-from collections.abc import Callable
-from typing import Annotated
+from typing import Annotated, TypeAlias
 
 import msgspec
 from msgspec import Meta
@@ -65,65 +64,60 @@ class ButtonReply(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", t
     text: str
 
 
+Outcome: TypeAlias = tuple[bool, str]
+"""Whether a command was done, and what the page says."""
+
+
 def do(request: ButtonRequest, bus: BusOptions, t_ns: int | None, speed: float) -> ButtonReply:
     """Execute a command and return its result, within twice ``TIMEOUT_S``.
 
     ``t_ns`` is the vehicle time, None if unknown; ``speed`` is the requested speed of the clock.
     """
+    until = time.monotonic() + TIMEOUT_S
     try:
-        with open_session(bus, stop=_patience(), say=lambda _: None) as session:
-            return _done(request, session, t_ns, speed)
+        with open_session(bus, stop=lambda: time.monotonic() > until, say=lambda _: None) as session:
+            done, text = _outcome(request, session, t_ns, speed)
     except Stopped:
-        return _reply(request, f"no router within {TIMEOUT_S:.0f} s")
+        done, text = False, f"no router within {TIMEOUT_S:.0f} s"
     except BusError as error:
-        return _reply(request, str(error))
-
-
-def _done(request: ButtonRequest, session: Session, t_ns: int | None, speed: float) -> ButtonReply:
-    match request.button:
-        case Button.ARM | Button.DISARM | Button.STOP | Button.HOLD | Button.CLEAR:
-            return _by_controller(request, send_command(session, Action(request.button.value)))
-        case Button.PAUSE:
-            return _sent(request, session, ClockCommand(paused=True, speed=speed), "requested: pause the clock")
-        case Button.RESUME:
-            return _sent(request, session, ClockCommand(paused=False, speed=speed), "requested: resume the clock")
-        case Button.SPEED:
-            text = f"requested: {request.speed:g} x real time"
-            return _sent(request, session, ClockCommand(paused=False, speed=request.speed), text)
-        case Button.KILL:
-            return _sent(request, session, Kill(node=request.node), f"requested: kill {request.node}")
-        case Button.HEARTBEAT | Button.DRAWN | Button.HAS_REPORT:
-            raise AssertionError("the page itself handles them")
-        case Button.KICK:
-            if t_ns is None:
-                return _reply(request, "no clock message and no estimate received yet: vehicle time is unknown")
-            kick = Disturbance(end_t_ns=t_ns + round(KICK_S * 1e9), force_N=KICK_N)
-            return _sent(request, session, kick, f"pushed east with {KICK_N[1]:g} N for {KICK_S:g} s")
-
-
-def _by_controller(request: ButtonRequest, answer: Acknowledgement | RejectedFrame | None) -> ButtonReply:
-    match answer:
-        case Acknowledgement(accepted=True):
-            text = f"{request.button.value} accepted; command authority: {answer.authority.value}"
-            return _reply(request, "; ".join((text, *answer.warnings)), done=True)
-        case Acknowledgement():
-            return _reply(request, f"{request.button.value} rejected: {answer.why}")
-        case RejectedFrame():
-            return _reply(request, f"{request.button.value} rejected by {answer.node}: {answer.reason}")
-        case None:
-            return _reply(request, f"no reply from a controller within {TIMEOUT_S:.0f} s")
-
-
-def _sent(request: ButtonRequest, session: Session, message: Message, text: str) -> ButtonReply:
-    """Publish a message that has no acknowledgement; its effect shows on the page."""
-    Outbox(session, node=OPERATOR, epoch=new_epoch(), kinds=(type(message),)).publish(message)
-    return _reply(request, text, done=True)
-
-
-def _reply(request: ButtonRequest, text: str, *, done: bool = False) -> ButtonReply:
+        done, text = False, str(error)
     return ButtonReply(number=request.number, done=done, text=text)
 
 
-def _patience() -> Callable[[], bool]:
-    until = time.monotonic() + TIMEOUT_S
-    return lambda: time.monotonic() > until
+def _outcome(request: ButtonRequest, session: Session, t_ns: int | None, speed: float) -> Outcome:
+    match request.button:
+        case Button.ARM | Button.DISARM | Button.STOP | Button.HOLD | Button.CLEAR:
+            return _by_controller(request.button, send_command(session, Action(request.button.value)))
+        case Button.PAUSE | Button.RESUME | Button.SPEED:
+            asked = request.speed if request.button is Button.SPEED else speed
+            what = f"{asked:g} x real time" if request.button is Button.SPEED else f"{request.button.value} the clock"
+            return _sent(
+                session, ClockCommand(paused=request.button is Button.PAUSE, speed=asked), f"requested: {what}"
+            )
+        case Button.KILL:
+            return _sent(session, Kill(node=request.node), f"requested: kill {request.node}")
+        case Button.KICK if t_ns is not None:
+            kick = Disturbance(end_t_ns=t_ns + round(KICK_S * 1e9), force_N=KICK_N)
+            return _sent(session, kick, f"pushed east with {KICK_N[1]:g} N for {KICK_S:g} s")
+        case Button.KICK:
+            return False, "no clock message and no estimate received yet: vehicle time is unknown"
+    raise AssertionError("the page itself handles it")
+
+
+def _by_controller(button: Button, answer: Acknowledgement | RejectedFrame | None) -> Outcome:
+    match answer:
+        case Acknowledgement(accepted=True):
+            text = f"{button.value} accepted; command authority: {answer.authority.value}"
+            return True, "; ".join((text, *answer.warnings))
+        case Acknowledgement():
+            return False, f"{button.value} rejected: {answer.why}"
+        case RejectedFrame():
+            return False, f"{button.value} rejected by {answer.node}: {answer.reason}"
+        case None:
+            return False, f"no reply from a controller within {TIMEOUT_S:.0f} s"
+
+
+def _sent(session: Session, message: Message, text: str) -> Outcome:
+    """Publish a message that has no acknowledgement; its effect shows on the page."""
+    Outbox(session, node=OPERATOR, epoch=new_epoch(), kinds=(type(message),)).publish(message)
+    return True, text

@@ -101,7 +101,7 @@ def make(
             Route("/report", report),
             WebSocketRoute("/stream", live),
         ],
-        middleware=[Middleware(AccessGuard, allowed=allowed, inline_scripts=static_files.report_scripts())],
+        middleware=[Middleware(AccessGuard, allowed=allowed)],
         lifespan=lifespan,
     )
 
@@ -186,20 +186,20 @@ async def _reply(text: str, reader: Reader, commands: _Commands) -> ButtonReply 
         if not reader.has_report:
             commands.on_view(View.DRAWN)
         return None
+    refused = ""
+    moment = feed.status()
+    known = [process.name for process in moment.processes]
     if not has_token:
-        return ButtonReply(
-            number=request.number, done=False, text="read-only: open the printed address, which carries the token"
-        )
+        refused = "read-only: open the printed address, which carries the token"
+    elif request.button in SIMULATED and not moment.simulated:
+        refused = f"{request.button.value} works in a simulation only"
+    elif request.button is Button.KILL and request.node not in known:
+        refused = f"kill refused: {format_value(request.node)}: must be one of {', '.join(known)}"
+    if refused:
+        return ButtonReply(number=request.number, done=False, text=refused)
     if request.button is Button.HEARTBEAT:
         feed.beat()
         return None
-    moment = feed.status()
-    if request.button in SIMULATED and not moment.simulated:
-        return ButtonReply(number=request.number, done=False, text=f"{request.button.value} works in a simulation only")
-    known = [process.name for process in moment.processes]
-    if request.button is Button.KILL and request.node not in known:
-        problem = f"kill refused: {format_value(request.node)}: must be one of {', '.join(known)}"
-        return ButtonReply(number=request.number, done=False, text=problem)
     return await asyncio.to_thread(commands.command, request, feed.t_ns(), moment.requested_speed)
 
 

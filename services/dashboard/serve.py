@@ -18,10 +18,11 @@ from ltv_mpc.errors import ConfigError
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.session import open_session
 from services.dashboard import page
-from services.dashboard.access_guard import LOOPBACK, Token, hosts
+from services.dashboard.access_guard import LOOPBACK, Token, headers, hosts
 from services.dashboard.bus_feed import BusFeed
 from services.dashboard.config import Config, View
 from services.dashboard.connection import IDLE_S, Connection
+from services.reporting.static_files import report_scripts
 from services.runtime.console import Console
 from services.runtime.serve import run_until_stopped
 from services.runtime.stopping import Say, StopRequest
@@ -115,6 +116,7 @@ def configuration(app: Starlette) -> uvicorn.Config:
         ws_ping_timeout=PING_S,
         ws_per_message_deflate=False,  # loopback has bandwidth; the other processes need the processor time
         timeout_graceful_shutdown=GRACE_S,
+        headers=headers(report_scripts()),
         server_header=False,
         proxy_headers=False,
     )

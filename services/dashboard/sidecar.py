@@ -7,7 +7,6 @@ import os
 import subprocess
 import sys
 import threading
-from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -32,19 +31,8 @@ class Sidecar:
     Start it from the main thread: the process ends with the thread that started it.
     """
 
-    def __init__(
-        self,
-        say: Say,
-        *,
-        folder: Path,
-        vehicle: Path,
-        about: About,
-        open_browser: bool,
-        waits: bool,
-        needs: Sequence[str] = NEEDS,
-    ) -> None:
+    def __init__(self, say: Say, *, folder: Path, vehicle: Path, about: About, open_browser: bool, waits: bool) -> None:
         self._say = say
-        self._needs = needs
         self._log = folder / "logs" / "dashboard.log"
         self._config = folder / "logs" / "dashboard.json"
         self._vehicle = vehicle
@@ -58,7 +46,7 @@ class Sidecar:
 
     def start(self, bus: BusOptions) -> None:
         """Start the page on this bus, or report that a package is missing."""
-        missing = next((name for name in self._needs if find_spec(name) is None), None)
+        missing = next((name for name in NEEDS if find_spec(name) is None), None)
         if missing is not None:
             self._say(f"no live page: {missing} is not installed: pip install {missing} (extra viz)")
             return

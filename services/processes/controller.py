@@ -16,6 +16,7 @@ from ltv_mpc import references
 from ltv_mpc.bathymetry import bathymetry_for
 from ltv_mpc.config import to_toml
 from ltv_mpc.control.config import ControllerConfig, ResolvedConfig
+from ltv_mpc.control.failed_qp import NamedQp
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.control.ocp import assembly
 from ltv_mpc.control.sent_commands import SentCommands
@@ -44,7 +45,6 @@ from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.options import BusOptions
 from services.bus.topics import BY_TYPE, Topic
 from services.processes.checkpoint import Checkpoint
-from services.processes.failed_qps import FailedQps
 from services.run.settings_files import TOO_LARGE, controller_files, node_settings
 from services.runtime import metrics as prometheus
 from services.runtime.console import Console
@@ -54,7 +54,7 @@ from services.runtime.runner import Runner
 from services.runtime.serve import serve
 from services.runtime.service_manager import SERVICE_MANAGER
 from services.runtime.stage_timer import StageTimer
-from services.runtime.stopping import FAILED
+from services.runtime.stopping import FAILED, Say
 
 
 class Config(msgspec.Struct, frozen=True, kw_only=True):
@@ -133,6 +133,36 @@ def main(config: Config) -> int:
             settings=published,
         )
         return serve(console, bus, runner, checkpoint)
+
+
+MAX_FAILED_QPS = 20
+"""Largest number of files of one run: a failure that repeats every second gives no more information."""
+
+
+class FailedQps:
+    """Writer of failed QPs: between the cycles, at most one file each time the status is published."""
+
+    def __init__(self, recorder: QpRecorder, folder: Path, say: Say, *, max_files: int = MAX_FAILED_QPS) -> None:
+        """Write into ``folder`` what ``recorder`` keeps; ``say`` prints a line for a person."""
+        self._recorder, self._folder, self._say, self._max_files = recorder, folder, say, max_files
+        self._seen: NamedQp | None = None
+        self.written = 0
+
+    def show(self, status: ControllerStatus) -> None:
+        """Write the last failed QP, if it was not written before."""
+        failed = self._recorder.failed
+        if failed is None or failed is self._seen or self.written >= self._max_files:
+            return
+        self._seen = failed
+        path = self._folder / f"qp-{status.t_ns}.qp"
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)
+            failed.save(path)
+        except OSError as error:
+            self._say(f"a QP was not solved and cannot be saved in {self._folder}: {error.strerror}")
+            return
+        self.written += 1
+        self._say(f"a QP was not solved ({failed.solve.why}); saved: ltv-mpc qp show {path}")
 
 
 INTERNAL_TYPES = (ControllerState, RejectedFrame)

@@ -6,6 +6,7 @@ With certificates it also denies what no role allows, and reports the number of 
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
 import threading
 from collections.abc import Iterator
@@ -112,7 +113,8 @@ class _Report:
 def _zenoh_log(denials: Denials) -> Iterator[None]:
     """Redirect Zenoh's log, which goes to standard output only, to ``denials`` in this context."""
     log, into = os.pipe()
-    _widen(into)
+    if hasattr(fcntl, "F_SETPIPE_SZ"):  # Linux
+        fcntl.fcntl(into, fcntl.F_SETPIPE_SZ, LOG_BYTES)
     before = os.dup(STDOUT)
     os.dup2(into, STDOUT)
     os.close(into)
@@ -134,10 +136,3 @@ def _zenoh_log(denials: Denials) -> Iterator[None]:
         ended.set()
         reader.join()
         os.close(log)
-
-
-def _widen(pipe: int) -> None:
-    import fcntl
-
-    if hasattr(fcntl, "F_SETPIPE_SZ"):  # Linux
-        fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, LOG_BYTES)

@@ -62,14 +62,13 @@ class SegmentWriter:
             return
         self._unsafe.append(source)
         try:
-            writer.write_plain(key, kind, message, t_ns, crc)
+            if writer.write_plain(key, kind, message, t_ns, crc):
+                self._unsafe.clear()
         except OSError as error:
             self._give_up(writer, error)
         except BaseException:
             self._unsafe.pop()
             raise
-        else:
-            self._note_flush(writer)
 
     def flush_if_due(self, *, now: bool = False) -> None:
         """Flush if it is due, or ``now``. Must also be called while no messages arrive."""
@@ -77,11 +76,12 @@ class SegmentWriter:
         if writer is None:
             return
         try:
-            writer.flush() if now else writer.flush_if_due()
+            if now:
+                writer.flush()
+            if now or writer.flush_if_due():
+                self._unsafe.clear()
         except OSError as error:
             self._give_up(writer, error)
-        else:
-            self._note_flush(writer)
 
     def refused(self) -> list[Source]:
         """Return the sources of the messages since the last call that are not in the file."""
@@ -136,10 +136,6 @@ class SegmentWriter:
             return None
         self._news.append(f"recording continues in {self.segment.path.name}")
         return self.segment
-
-    def _note_flush(self, writer: RunWriter) -> None:
-        if writer.unsafe == 0:
-            self._unsafe.clear()
 
     def _give_up(self, writer: RunWriter, error: OSError) -> None:
         """Truncate the segment to its last successful flush, and retry later with the next one."""

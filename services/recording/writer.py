@@ -46,7 +46,7 @@ class RunWriter:
     ) -> None:
         self.path = path
         self.messages = 0
-        self._flushed = 0, 0  # bytes and messages
+        self._flushed_bytes = 0
         self._start_ns = start_ns
         self.flush_s = flush_s
         self._flushed_at = time.monotonic()
@@ -68,10 +68,10 @@ class RunWriter:
 
     def write_plain(
         self, key: str, kind: type[Message], message: Mapping[str, Any], t_ns: int, crc: int | None = None
-    ) -> None:
+    ) -> bool:
         """Write a plain message: ``wire.unpack`` of its payload. Raises ``WireError`` if JSON cannot represent it.
 
-        ``crc`` is that of the payload; None: that of our own encoder's payload.
+        ``crc`` is that of the payload; None: that of our own encoder's payload. Return True if it is flushed.
         """
         log_time = max(0, t_ns - self._start_ns)
         try:
@@ -84,28 +84,25 @@ class RunWriter:
             channel = self._register(key, kind)
         self._mcap.add_message(channel, log_time, data, log_time, crc)
         self.messages += 1
-        self.flush_if_due()
+        return self.flush_if_due()
 
-    def flush_if_due(self) -> None:
-        """Flush if ``flush_s`` has passed. Must also be called while no messages arrive."""
-        if self.flush_s is not None and time.monotonic() - self._flushed_at >= self.flush_s:
+    def flush_if_due(self) -> bool:
+        """Flush if ``flush_s`` has passed, and return True then. Must also be called while no messages arrive."""
+        due = self.flush_s is not None and time.monotonic() - self._flushed_at >= self.flush_s
+        if due:
             self.flush()
+        return due
 
     def flush(self) -> None:
         """Pass all messages so far to the operating system."""
         self._mcap.flush()
-        self._flushed = self.file.tell(), self.messages
+        self._flushed_bytes = self.file.tell()
         self._flushed_at = time.monotonic()
-
-    @property
-    def unsafe(self) -> int:
-        """Number of messages that are not flushed yet."""
-        return self.messages - self._flushed[1]
 
     def abandon(self) -> None:
         """Truncate the file to its last flush and close it without an index, after an ``OSError``."""
         with contextlib.suppress(OSError):
-            os.truncate(self.path, self._flushed[0])
+            os.truncate(self.path, self._flushed_bytes)
         self._close()
 
     def close(self) -> None:

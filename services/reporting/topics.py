@@ -10,8 +10,7 @@ from typing import Any
 from ltv_mpc.errors import ConfigError, format_value
 from ltv_mpc.messages import Message
 from ltv_mpc.settings_schema import suggestion
-from services.bus.protocol import unit, words
-from services.bus.schema import message, schema
+from services.bus.schema import message, schema, unit, words
 from services.bus.topics import TOPICS, Topic
 from services.runtime.console import WIDTH, columns
 

@@ -17,13 +17,12 @@ from ltv_mpc.messages import (
     Heartbeat,
     InboxEntry,
     Message,
-    NodeSettings,
     NodeStatus,
     RejectedFrame,
     RunEvent,
 )
 from ltv_mpc.node import Node, OnMessage
-from services.bus.mailbox import Frame, Mailbox
+from services.bus.mailbox import Frame
 from services.bus.message_validation import MessageValidator, RateExceeded, rejection
 from services.bus.time_shift import shifted
 from services.bus.topics import OPERATOR
@@ -43,19 +42,6 @@ NO_TIME = "no estimate received yet, so there is no vehicle time: retry when the
 """
 
 
-class Connected(NamedTuple):
-    """Parts of a connected process, which its input receiver and its step loop share."""
-
-    node: Node
-    mailbox: Mailbox
-    io: NodeIO
-    time: ProcessTime
-    status: NodeStatusReporter
-    report: ControllerStatusReporter | None  # status of the node's own
-    settings: NodeSettings | None
-    validator: MessageValidator
-
-
 class StepTrigger(NamedTuple):
     """Request for a step by an input."""
 
@@ -68,9 +54,18 @@ class StepTrigger(NamedTuple):
 class InputReceiver:
     """Validation and routing of one process's inputs."""
 
-    def __init__(self, connected: Connected) -> None:
-        self._node, _, self._io, self._time, self._status, self._report, _, self._validator = connected
-        schedule = self._node.schedule
+    def __init__(
+        self,
+        node: Node,
+        io: NodeIO,
+        time: ProcessTime,
+        status: NodeStatusReporter,
+        report: ControllerStatusReporter | None,
+        validator: MessageValidator,
+    ) -> None:
+        self._node, self._io, self._time, self._status = node, io, time, status
+        self._report, self._validator = report, validator
+        schedule = node.schedule
         self._triggers = frozenset(schedule.types if isinstance(schedule, OnMessage) else ())
 
     def take(self, frame: Frame) -> StepTrigger | None:

@@ -7,10 +7,11 @@ synchronised     a controller without an announced clock: takes the time from it
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 from ltv_mpc.geofence.obstacles import ahead_reason
-from ltv_mpc.messages import Clock, ClockStep, Message, Obstacles
+from ltv_mpc.messages import Clock, ClockStep, Message, Obstacles, RunEvent
 from ltv_mpc.node import Cycle, Grid, Node, OnMessage, Schedule
 from services.runtime.clock import VehicleClock, monotonic_us
 from services.runtime.clock_master import ClockMaster, ClockMasterSettings
@@ -79,9 +80,16 @@ class StepSchedule:
 class ProcessTime:
     """Vehicle time and the step schedule of one process."""
 
-    def __init__(self, node: Node, options: ClockOptions, *, epoch: int) -> None:
+    def __init__(
+        self, node: Node, options: ClockOptions, *, epoch: int, publish: Callable[[Clock | RunEvent], object]
+    ) -> None:
+        """``epoch``: of the messages of this process. ``publish``: for a clock master, from its connection on."""
         self.clock = VehicleClock(speed=options.speed)
-        self.master: ClockMaster | None = None  # set when the process is connected
+        self.master: ClockMaster | None = None
+        if options.master is not None:
+            self.master = ClockMaster(
+                options.master, self.clock, node=node.name, epoch=epoch, now_us=monotonic_us(), publish=publish
+            )
         self.sync = ClockSync(self.clock, epoch=epoch, input_delay_ns=options.input_delay_ns)
         self.syncs = options.sync_to_inputs
         """True if the time is taken from the inputs' stamps while no clock is announced."""

@@ -45,10 +45,9 @@ from services.bus.rate_limit import RateLimit
 from services.bus.session import Session, open_session
 from services.bus.topics import BY_TYPE, NAMED, expression
 from services.runtime.clock import monotonic_us
-from services.runtime.clock_master import ClockMaster
 from services.runtime.clock_sync import ClockSync
 from services.runtime.deadlines import DeadlineQueue
-from services.runtime.input_receiver import Connected, InputReceiver
+from services.runtime.input_receiver import InputReceiver
 from services.runtime.node_io import NodeIO, SavedState
 from services.runtime.node_status import CLOCK_MESSAGE, CLOCK_OR_ESTIMATE, NodeStatusReporter, WaitingFor
 from services.runtime.process_time import ClockOptions, ProcessTime
@@ -114,13 +113,21 @@ class Runner:
         self.mailbox = Mailbox()
         self.stop.on_request(self.mailbox.wake)
         self._node = node
-        self._master_settings = clock.master
         self._compute_delay_ns = compute_delay_ns
-        self._stages = stages or StageTimer()
+        self._stopwatch = stages or StageTimer()
         self._report = report
         self._settings = settings
+        self._settings_due_us = 0
         self._epoch = new_epoch()
-        self._time = ProcessTime(node, clock, epoch=self._epoch)
+        self._time = ProcessTime(node, clock, epoch=self._epoch, publish=lambda message: self._io.publish(message))
+        self._command = ""  # key of a command that the next step must not wait for
+        self._navigated = node if isinstance(node, NavigatedNode) else None
+        self._source: Source | None = None  # of the estimates in use
+        self._deadlines = DeadlineQueue()
+        # From the connection on:
+        self._io: NodeIO
+        self._status: NodeStatusReporter
+        self._receiver: InputReceiver
 
     @property
     def name(self) -> str:
@@ -150,17 +157,17 @@ class Runner:
         gc.collect()
         gc.freeze()  # objects that live until the end: no later collection visits them
         with open_session(bus, stop=self.stop, say=say) as session:
-            connected = self._connect(session, saved, say)
-            loop = StepLoop(connected, stop=self.stop, stopwatch=self._stages, compute_delay_ns=self._compute_delay_ns)
+            self._connect(session, saved, say)
             SERVICE_MANAGER.ready()
             try:
-                loop.run()
+                self._run()
             finally:
-                loop.finish()
+                self._io.publish_record()
+                self._status.publish(monotonic_us(), finished=True)
 
-    def _connect(self, session: Session, saved: SavedState | None, say: Say) -> Connected:
+    def _connect(self, session: Session, saved: SavedState | None, say: Say) -> None:
         """Declare publishers and subscribers, and start the clock's part of the process."""
-        node, time, keeps_time = self._node, self._time, self._master_settings is not None
+        node, time, keeps_time = self._node, self._time, self._time.master is not None
         inputs = [kind for kind in node.reads if BY_TYPE[kind].written_by != node.name]  # its own need no bus
         inputs = [kind for kind in inputs if kind not in DELIVERED_BY_PROCESS]
         optional: dict[type[Message], bool] = {
@@ -180,48 +187,20 @@ class Runner:
             clock_source=CLOCK_OR_ESTIMATE if time.syncs else CLOCK_MESSAGE,
             node_waits=(lambda: node.waiting_for) if isinstance(node, WaitingNode) else None,
         )
-        status = NodeStatusReporter(
+        self._status = NodeStatusReporter(
             node.name, outbox=outbox, counts=validator, mailbox=self.mailbox, waiting=waiting, say=say
         )
         for kind in dict.fromkeys([*inputs, *(CLOCK_MASTER_INPUTS if keeps_time else (Clock,))]):
             topic = BY_TYPE[kind]  # one mailbox for all, so that arrivals have one order
             session.subscribe(expression(topic), None if kind in NAMED else topic, self.mailbox)
-        if self._master_settings is not None:
-            time.master = ClockMaster(
-                self._master_settings,
-                time.clock,
-                node=node.name,
-                epoch=self._epoch,
-                now_us=monotonic_us(),
-                publish=outbox.publish,
-            )
         time.start_schedule()
-        io = NodeIO(node.name, outbox, saved)
-        return Connected(node, self.mailbox, io, time, status, self._report, self._settings, validator)
+        self._io = NodeIO(node.name, outbox, saved)
+        self._receiver = InputReceiver(node, self._io, time, self._status, self._report, validator)
+        self._add_deadlines(validator)
 
-
-class StepLoop:
-    """Loop of one connected process, from its first step to its last."""
-
-    def __init__(
-        self, connected: Connected, *, stop: StopRequest, stopwatch: StageTimer, compute_delay_ns: int
-    ) -> None:
-        self._node, self._mailbox, self._io, self._time, self._status, self._report, _, _ = connected
-        self._stop = stop
-        self._stopwatch = stopwatch
-        self._compute_delay_ns = compute_delay_ns
-        self._measures_cycles = times_cycles(self._node)
-        self._receiver = InputReceiver(connected)
-        self._command = ""  # key of a command that the next step must not wait for
-        self._navigated = self._node if isinstance(self._node, NavigatedNode) else None
-        self._source: Source | None = None  # of the estimates in use
-        self._settings_due_us = 0
-        self._deadlines = DeadlineQueue()
-        self._add_deadlines(connected)
-
-    def run(self) -> None:
+    def _run(self) -> None:
         """Step until a stop is requested or the schedule ends; then take the inputs that are still on their way."""
-        while not self._time.schedule.finished and self._wait(lambda: self._step_due_us):
+        while not self.finished and self._wait(lambda: self._step_due_us):
             self._scheduled_step()
         SUPERVISOR_LINK.last_beat()
         SERVICE_MANAGER.stopping()
@@ -229,17 +208,11 @@ class StepLoop:
             self._time.master.stop(monotonic_us())
         self._drain()
 
-    def finish(self) -> None:
-        """Publish the record of the last steps and the last status."""
-        self._io.publish_record()
-        self._status.publish(monotonic_us(), finished=True)
-
     # --- waiting -----------------------------------------------------------------------------------------------------
 
-    def _add_deadlines(self, connected: Connected) -> None:
+    def _add_deadlines(self, validator: MessageValidator) -> None:
         """Add the periodic duties of the process to the deadline queue."""
-        _, _, io, time, status, report, settings, validator = connected
-        master = time.master
+        master, report, settings = self._time.master, self._report, self._settings
         self._deadlines.add(lambda: SUPERVISOR_LINK.due_us, SUPERVISOR_LINK.beat)
         self._deadlines.add(lambda: SERVICE_MANAGER.due_us, SERVICE_MANAGER.beat)
         if master is not None:
@@ -248,21 +221,22 @@ class StepLoop:
 
             def publish_settings(now_us: int) -> None:
                 self._settings_due_us = now_us + SETTINGS_PERIOD_US
-                io.publish(settings)
+                self._io.publish(settings)
 
             self._deadlines.add(lambda: self._settings_due_us, publish_settings)
-        self._deadlines.add(lambda: status.due_us, self._publish_status)
+        self._deadlines.add(lambda: self._status.due_us, self._publish_status)
         if report is not None:
 
             def publish(now_us: int) -> None:
-                io.publish(report.status(now_us, time.now_ns(now_us), validator, time.sync.offset(now_us)))
+                time = self._time
+                self._io.publish(report.status(now_us, time.now_ns(now_us), validator, time.sync.offset(now_us)))
 
             self._deadlines.add(lambda: report.due_us, publish)
 
     def _wait(self, due_us: Callable[[], int | None]) -> bool:
         """Take inputs until ``due_us`` has passed and the mailbox is empty. Return False if a stop is requested."""
         entered_us = monotonic_us()
-        while not self._stop():
+        while not self.stop():
             now_us = monotonic_us()
             self._deadlines.run_due(now_us)
             due = due_us()
@@ -279,7 +253,7 @@ class StepLoop:
 
     def _take(self, timeout_s: float) -> bool:
         """Take the next input, if one arrives in time, and the step that it causes. Return False if none arrived."""
-        frame = self._mailbox.take(timeout_s)
+        frame = self.mailbox.take(timeout_s)
         trigger = None if frame is None else self._receiver.take(frame)
         if trigger is not None:
             if trigger.t_ns is None:
@@ -336,7 +310,7 @@ class StepLoop:
         status.on_step(monotonic_us() - due_us)
         if not outputs:
             return
-        plan = _plan_in(outputs) if self._measures_cycles else None
+        plan = _plan_in(outputs) if times_cycles(self._node) else None
         if plan is not None and self._compute_delay_ns:
             self._io.publish_record()
             self._hold(self._compute_delay_ns)

@@ -77,15 +77,14 @@ class BusMonitor:
     def __init__(self, session: Session, nodes: Iterable[str]) -> None:
         self._newest = LatestCache()
         self._plans = _RecentPlans()
-        self._events = Mailbox()
-        self._kills = Mailbox()
+        self._notices = Mailbox()
         self._clock = VehicleClock()
         for kind in (*DISPLAYED.values(), *OTHERS):
             session.subscribe(expression(BY_TYPE[kind]), BY_TYPE[kind], self._plans if kind is Plan else self._newest)
         for node in nodes:
             session.subscribe(f"{STATUS}/{node}", BY_TYPE[NodeStatus], self._newest)
-        session.subscribe(f"{BY_TYPE[RunEvent].key}/*", BY_TYPE[RunEvent], self._events)
-        session.subscribe(BY_TYPE[Kill].key, BY_TYPE[Kill], self._kills)
+        session.subscribe(f"{BY_TYPE[RunEvent].key}/*", BY_TYPE[RunEvent], self._notices)
+        session.subscribe(BY_TYPE[Kill].key, BY_TYPE[Kill], self._notices)
 
     def newest(self, kind: type[S], node: str = "") -> S | None:
         """Return the newest message of this type, or None.
@@ -136,13 +135,11 @@ class BusMonitor:
         epoch = None if frame is None else epoch_of(frame.payload)
         return None if frame is None or epoch is None else Activity(epoch, frame.arrived_s)
 
-    def kill_requests(self) -> list[str]:
-        """Return the processes that an operator has asked to kill since the last call."""
-        return [request.node for request in _taken(self._kills, Kill)]
-
-    def new_events(self) -> list[RunEvent]:
-        """Return the run events since the last call."""
-        return list(_taken(self._events, RunEvent))
+    def notices(self) -> Iterator[Message]:
+        """Yield the run events and an operator's kill requests since the last call; invalid frames are skipped."""
+        while (frame := self._notices.take(0.0)) is not None:
+            if frame.topic is not None and (found := valid_message(frame.topic, frame.key, frame.payload)) is not None:
+                yield found[0]
 
     def t_ns(self) -> int | None:
         """Return the vehicle time; None while it is not known."""
@@ -189,11 +186,3 @@ def _phase(clock: Clock | None, t_ns: int, end_ns: int | None) -> str:
     if clock.state is ClockState.PAUSED:
         return "stopping" if end_ns is not None and t_ns >= end_ns else "paused"
     return "afloat" if t_ns < 0 else "diving"
-
-
-def _taken(mailbox: Mailbox, kind: type[S]) -> Iterator[S]:
-    """Yield the messages that wait in a mailbox; frames that are none are skipped."""
-    while (frame := mailbox.take(0.0)) is not None:
-        found = valid_message(BY_TYPE[kind], frame.key, frame.payload)
-        if found is not None and isinstance(found[0], kind):
-            yield found[0]

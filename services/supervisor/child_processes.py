@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import select
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from pathlib import Path
 
 import msgspec
 
 from services.runtime.stopping import DONE
-from services.supervisor import process_table
 from services.supervisor.entry_point import write_config
 from services.supervisor.forkserver import ForkServer
-from services.supervisor.hang_detector import HANG_TIMEOUT_S
 from services.supervisor.managed_process import ManagedProcess
+from services.supervisor.process_table import ProcessRow
 
 ORDERLY_S = 2.0  # for one node, after a complete run
 ORDERLY_RECORDER_S = 10.0  # a slow disk
@@ -22,12 +21,9 @@ HASTY_S = 0.7  # for all nodes together, after Ctrl-C or a failure; with the two
 HASTY_RECORDER_S = 0.9
 HASTY_ROUTER_S = 0.2
 
-SIMULATION_HANG_TIMEOUT_S = 10.0
-"""Hang timeout of plant and sensors. They are not restarted, so a busy machine must not end the run too early."""
-
 
 class ChildProcesses:
-    """Current child processes. A restarted process replaces the failed one under the same name."""
+    """Child processes of a run."""
 
     def __init__(self, scenario: Path, logs: Path, group: int) -> None:
         """``group`` is the process group of all processes."""
@@ -35,23 +31,14 @@ class ChildProcesses:
         """Child processes in the order of their start."""
         self.forks = ForkServer(scenario, logs / "forkserver.log", group)
         self._logs = logs
-        self._rows: dict[str, process_table.ProcessRow] = {}
-        self._starts: dict[str, int] = {}
 
-    def start(self, row: process_table.ProcessRow, config: msgspec.Struct) -> None:
+    def start(self, row: ProcessRow, config: msgspec.Struct) -> None:
         """Write the config of a process and start it."""
-        self._rows[row.name] = row
-        write_config(self._config(row.name), config)
-        self.by_name[row.name] = self._start(row.name, b"")
-
-    def restart(self, name: str, state: bytes) -> None:
-        """Start a new process in place of a dead one. ``state`` is the encoded state to continue from, or empty."""
-        self.by_name[name].close()
-        self.by_name[name] = self._start(name, state)
-
-    def restartable(self, name: str) -> bool:
-        """Return True if the process table allows a restart of this process."""
-        return self._rows[name].restartable
+        path = self._logs / f"{row.name}.json"
+        write_config(path, config)
+        child = ManagedProcess(self.forks, row, path)
+        child.start()
+        self.by_name[row.name] = child
 
     @property
     def run_complete(self) -> bool:
@@ -91,29 +78,9 @@ class ChildProcesses:
         """Read heartbeats for ``timeout_s``. Return earlier if a child has ended or a stop is requested."""
         until = time.monotonic() + timeout_s
         while (left_s := until - time.monotonic()) > 0 and not stop():
-            by_fd = {child.heartbeat_fd: child for child in self._running()}
+            children = [child for child in self.by_name.values() if not child.pipe_closed]
+            by_fd = {child.heartbeat_fd: child for child in children if child.heartbeat_fd >= 0}
             for fd in select.select(list(by_fd), [], [], left_s)[0]:
                 by_fd[fd].read_heartbeats()
             if any(child.pipe_closed for child in by_fd.values()):
                 return
-
-    def _running(self) -> Iterable[ManagedProcess]:
-        return (child for child in self.by_name.values() if child.heartbeat_fd >= 0 and not child.pipe_closed)
-
-    def _start(self, name: str, state: bytes) -> ManagedProcess:
-        row = self._rows[name]
-        return ManagedProcess(
-            self.forks,
-            row.module,
-            self._config(name),
-            self._log(name),
-            state=state,
-            hang_timeout_s=HANG_TIMEOUT_S if row.restartable else SIMULATION_HANG_TIMEOUT_S,
-        )
-
-    def _config(self, name: str) -> Path:
-        return self._logs / f"{name}.json"
-
-    def _log(self, name: str) -> Path:
-        count = self._starts[name] = self._starts.get(name, 0) + 1
-        return self._logs / (f"{name}.log" if count == 1 else f"{name}.{count}.log")

@@ -161,14 +161,15 @@ class FailureHandler:
         return f"hung: no heartbeat for {now_s - (child.hang_detector.last_s or now_s):.2f} s"
 
     def _restart(self, name: str, how: str, alive_s: float, now_s: float) -> None:
-        text, lines = f"{name} {how}", self._children.by_name[name].last_lines()
-        if not self._children.restartable(name) or not self.all_ready:
+        child = self._children.by_name[name]
+        text, lines = f"{name} {how}", child.last_lines()
+        if not child.row.restartable or not self.all_ready:
             raise RunFailed(text, lines)
         if not self.may_restart(now_s):
             limit = f"the limit of {MAX_RESTARTS} restarts within {WINDOW_S:.0f} s is reached: stopping safely"
             raise RunFailed(f"{text}; {limit}", lines, in_order=True)
         before = self._monitor.last_activity(name)
-        self._children.restart(name, restore_state(name, self._monitor))
+        child.start(restore_state(name, self._monitor))
         self.restarts += 1
         earlier = self._failures.get(name)
         self._failures[name] = Failure(

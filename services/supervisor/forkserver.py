@@ -204,9 +204,7 @@ def load(scenario: str) -> None:
     from services.run.run_config import resolve
     from services.supervisor import jit_cache
 
-    run_config = resolve(scenario)
-    jit_cache.warm_up_controller(run_config)
-    jit_cache.warm_up_others(run_config)
+    jit_cache.warm_up(resolve(scenario))
     gc.collect()
     gc.freeze()  # so that a child's garbage collection does not copy the shared pages
 

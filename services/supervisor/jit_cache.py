@@ -90,46 +90,32 @@ def stored_bytes() -> int:
     return sum(path.stat().st_size for path in CACHE.glob("*/*.nbc"))
 
 
-def warm_up_controller(run_config: RunConfig) -> None:
-    """Run the controller of a scenario briefly."""
-    from services.processes import controller
-
-    controller.warm_up(run_config.vehicle, run_config.reference, run_config.controller)
-
-
-def compile_controller(run_config: RunConfig) -> None:
-    """Compile what ``warm_up_controller`` runs, and the proposal of a horizon, which the next run may need."""
-    from ltv_mpc.control.resolution import settled
-
-    settled(msgspec.structs.replace(run_config.scenario.controller, horizon_s=None), run_config.vehicle)
-    warm_up_controller(run_config)
-
-
-def warm_up_solver(run_config: RunConfig) -> None:
-    """Run the part of the controller that a cycle reaches last."""
-    from services.processes import controller
-
-    controller.warm_up_solver(run_config.vehicle, run_config.controller)
-
-
-def warm_up_others(run_config: RunConfig) -> None:
-    """Run plant, sensors and estimator of a scenario briefly."""
-    from services.processes import estimator, plant, sensors
-
-    plant.warm_up(run_config)
-    sensors.warm_up(run_config)
-    estimator.warm_up(run_config.sensor_config, run_config.scenario.estimator)
-
-
-PARTS: dict[str, tuple[int, Callable[[RunConfig], None]]] = {
-    "solver": (0, warm_up_solver),
-    "controller": (3, compile_controller),
-    "others": (5, warm_up_others),
-}
-"""Niceness and work of the parts that are compiled at the same time, each by a process of its own.
+PARTS = {"solver": 0, "controller": 3, "others": 5}
+"""Niceness of the parts that are compiled at the same time, each by a process of its own.
 
 The solver's is the longest, and the controller waits for it; the others depend on none.
 """
+
+
+def warm_up(run_config: RunConfig, part: str = "") -> None:
+    """Run the nodes of a scenario briefly: all that its processes need, or one part of what is compiled for them.
+
+    With the controller's part goes the proposal of a horizon, which the next run may need.
+    """
+    from ltv_mpc.control.resolution import settled
+    from services.processes import controller, estimator, plant, sensors
+
+    vehicle, scenario = run_config.vehicle, run_config.scenario
+    if part == "solver":
+        controller.warm_up_solver(vehicle, run_config.controller)
+    if part == "controller":
+        settled(msgspec.structs.replace(scenario.controller, horizon_s=None), vehicle)
+    if part in ("", "controller"):
+        controller.warm_up(vehicle, run_config.reference, run_config.controller)
+    if part in ("", "others"):
+        plant.warm_up(run_config)
+        sensors.warm_up(run_config)
+        estimator.warm_up(run_config.sensor_config, scenario.estimator)
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -137,12 +123,11 @@ def main(arguments: Sequence[str]) -> int:
     scenario, *part = arguments
     if part:
         name, parent = part
-        niceness, compile_part = PARTS[name]
         die_with_parent(int(parent))
-        os.nice(niceness)
+        os.nice(PARTS[name])
         share_compilation()
         gc.disable()  # a compiler frees next to nothing: collection would take a twelfth of the time
-        compile_part(resolve(scenario))
+        warm_up(resolve(scenario), name)
         return 0
     children = [
         subprocess.Popen([*command(scenario), name, str(os.getpid())], stdin=subprocess.DEVNULL) for name in PARTS

@@ -16,39 +16,46 @@ from pathlib import Path
 from services.runtime.supervisor_link import HEARTBEAT_FORMAT, LAST_HEARTBEAT, STATE_LENGTH
 from services.supervisor.forkserver import ForkServer
 from services.supervisor.hang_detector import HANG_TIMEOUT_S, HangDetector, ProcessorLack
+from services.supervisor.process_table import ProcessRow
 
 LAST_LINES = 12
 LOG_TAIL_BYTES = 16_384
 HEARTBEAT_BYTES = 4096  # read at once
 EXIT_TIMEOUT_S = 0.2  # from the end of the heartbeat pipe to the exit of the process
+SIMULATION_HANG_TIMEOUT_S = 10.0  # plant and sensors are not restarted: a busy machine must not end the run too early
 KILL_TIMEOUT_S = 5.0  # longest wait for the exit after SIGKILL, which a process that waits for a dead disk survives
 
 
 class ManagedProcess:
-    """Child process, started on construction.
+    """Child process of one row of the process table, named after its config file, and the next ones in its place.
 
-    It must be constructed by the main thread: the kernel kills a child when the thread that adopted it ends. It is
-    named after its config file. ``state`` is the encoded state that it continues from; empty if it begins without one.
+    ``start`` must be called by the main thread: the kernel kills a child when the thread that adopted it ends.
     """
 
-    def __init__(
-        self,
-        forks: ForkServer,
-        module: str,
-        config: Path,
-        log: Path,
-        *,
-        state: bytes = b"",
-        hang_timeout_s: float = HANG_TIMEOUT_S,
-    ) -> None:
-        self.name = config.stem
+    def __init__(self, forks: ForkServer, row: ProcessRow, config: Path) -> None:
+        self.row = row
+        self.name = row.name
+        self.hang_detector: HangDetector
+        self.pid = 0
+        self.heartbeat_fd = self._stdin = self._pidfd = -1
         self.pipe_closed = False
         """True once the child has closed its heartbeat pipe: it has ended, or is about to."""
-        self._log = log
+        self._forks = forks
+        self._config = config
+        self._log: Path
+        self._starts = 0
         self._code: int | None = None
-        self.pid, self._stdin, self.heartbeat_fd = forks.start(module, config, log)
+
+    def start(self, state: bytes = b"") -> None:
+        """Start a child, in place of a dead one. ``state`` is the encoded state that it continues from, or empty."""
+        self.close()
+        self._starts += 1
+        self._log = self._config.with_suffix(".log" if self._starts == 1 else f".{self._starts}.log")
+        self.pid, self._stdin, self.heartbeat_fd = self._forks.start(self.row.module, self._config, self._log)
+        self._code, self.pipe_closed = None, False
         self._pidfd = os.pidfd_open(self.pid)
-        self.hang_detector = HangDetector(ProcessorLack(self.pid), hang_timeout_s)
+        timeout_s = HANG_TIMEOUT_S if self.row.restartable else SIMULATION_HANG_TIMEOUT_S
+        self.hang_detector = HangDetector(ProcessorLack(self.pid), timeout_s)
         with contextlib.suppress(BrokenPipeError):  # the child is already dead, which is noticed elsewhere
             os.write(self._stdin, STATE_LENGTH.pack(len(state)) + state)
 
@@ -72,14 +79,9 @@ class ManagedProcess:
                 self._code = os.waitstatus_to_exitcode(status)
         return self._code
 
-    def send_signal(self, number: int) -> None:
-        """Send a signal if the child runs; its pid is not reused before it was waited for."""
-        if self.exit_code() is None:
-            os.kill(self.pid, number)
-
     def terminate(self) -> None:
         """Send SIGTERM: the child finishes its step, publishes its last status and exits."""
-        self.send_signal(signal.SIGTERM)
+        self._send(signal.SIGTERM)
 
     def wait_or_kill(self, timeout_s: float) -> bool:
         """Wait for the exit, then kill the child. Return False if it had to be killed."""
@@ -90,7 +92,7 @@ class ManagedProcess:
 
     def kill(self) -> None:
         """Send SIGKILL, which also ends a process that is stopped or hangs, and wait for the exit."""
-        self.send_signal(signal.SIGKILL)
+        self._send(signal.SIGKILL)
         self._wait(KILL_TIMEOUT_S)
 
     def close(self) -> None:
@@ -103,6 +105,11 @@ class ManagedProcess:
     def last_lines(self) -> tuple[str, ...]:
         """Return the last lines of the child's log."""
         return last_lines(self._log)
+
+    def _send(self, number: int) -> None:
+        """Send a signal if the child runs; its pid is not reused before it was waited for."""
+        if self.exit_code() is None:
+            os.kill(self.pid, number)
 
     def _wait(self, timeout_s: float) -> bool:
         """Wait for the exit. Return False if the child still runs."""

@@ -23,7 +23,7 @@ from pathlib import Path
 import msgspec
 
 from ltv_mpc.errors import ConfigError, format_value, one_line
-from ltv_mpc.messages import NodeStatus, RunEvent
+from ltv_mpc.messages import Kill, NodeStatus, RunEvent
 from services.bus.options import SECURE, BusOptions
 from services.bus.outbox import Outbox, new_epoch
 from services.bus.roles import ROUTER, SUPERVISOR
@@ -328,17 +328,17 @@ class Supervisor:
         self.failures.check(now_s)
         if (monitor := self._monitor) is None:
             return
-        for name in monitor.kill_requests():
-            if name in self.children.by_name:  # handled as any other failure
-                self.children.by_name[name].kill()
-            else:
-                self._screen.say(one_line(f"kill refused: no process {format_value(name)} in this run"))
+        for notice in monitor.notices():
+            match notice:
+                case Kill(node=name) if name in self.children.by_name:  # handled as any other failure
+                    self.children.by_name[name].kill()
+                case Kill(node=name):
+                    self._screen.say(one_line(f"kill refused: no process {format_value(name)} in this run"))
+                case RunEvent() if notice.node != SUPERVISOR:
+                    self.failures.show(notice)
         self.failures.check_recoveries(now_s)
         if not self.failures.recovering:  # a restarted process needs the processor more
             self.children.forks.load()
-        for event in monitor.new_events():
-            if event.node != SUPERVISOR:
-                self.failures.show(event)
         run, wall_s = self._run_config.scenario, now_s - self._started_s
         self._screen.update(monitor.view(self._states(monitor), wall_s, start_ns=run.start_ns, end_ns=run.end_ns))
 

@@ -27,29 +27,17 @@ def test_the_vehicles_estimates_are_spread_over_a_period_and_come_once_in_each()
 
 def row(*, late: int = 0, plans: int = 150, mind_cpu_s: float = 1.0, world_cpu_s: float = 2.0, routed_s: float = 0.5):
     one = Controllers(cycle_ms=quantiles([1.0, 2.0]), cpu_s=mind_cpu_s, rejected=1)
+    latency_ms = quantiles([5.0])
     world = Plants(
-        estimates=150,
-        plans=plans,
-        late=late,
-        refused=2,
-        latency_ms=quantiles([5.0]),
-        mean_error_m=0.1,
-        cpu_s=world_cpu_s,
+        estimates=150, plans=plans, late=late, refused=2, latency_ms=latency_ms, mean_error_m=0.1, cpu_s=world_cpu_s
     )
     return trial.row_of(FLEET, [one], world, routed_s, cores=2)
-
-
-def test_a_fleet_that_keeps_up_has_no_limit_and_says_what_each_vehicle_costs():
-    made = row()
-    assert made.limit == "none"
-    assert made.controller_busy_per_vehicle == pytest.approx(1.0 / 10.0 / 3)
-    assert made.busy == pytest.approx({"router": 0.05, "plants": 0.2, "controllers": 0.1, "all": 0.35})
-    assert (made.missed, made.rejected) == (0, 3)
 
 
 @pytest.mark.parametrize(
     ("figures", "limit"),
     [
+        ({}, "none"),
         ({"late": 5, "mind_cpu_s": 9.5}, "controllers"),
         ({"plans": 140, "world_cpu_s": 9.9, "mind_cpu_s": 9.5}, "plants"),
         ({"late": 5, "routed_s": 9.1}, "router"),
@@ -59,7 +47,10 @@ def test_a_fleet_that_keeps_up_has_no_limit_and_says_what_each_vehicle_costs():
     ],
 )
 def test_what_gives_way_is_the_process_that_has_no_more_to_give(figures, limit):
-    assert row(**figures).limit == limit
+    made = row(**figures)
+    assert made.limit == limit
+    assert made.controller_busy_per_vehicle == pytest.approx(figures.get("mind_cpu_s", 1.0) / 10.0 / 3)
+    assert made.rejected == 3
 
 
 def test_a_process_that_ends_early_is_named():

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import math
 
+import msgspec
 import numpy as np
 import pytest
 
+from benchmarks.rivals import lqr
 from benchmarks.robustness import tuning
 from benchmarks.robustness.cases import CASES, DEFAULTS, QUICK, RIGHT, conditions, parsed
 from benchmarks.robustness.flights import Job, Row, judged
 from benchmarks.robustness.laws import DEFAULT, LQR, PID
 from benchmarks.strangers.flight import Conditions, fly, load
+from ltv_mpc.messages import CurrentProfile, Estimate
+from ltv_mpc.vehicle.parameters import Vehicle
 
-S = 1_000_000_000
 WORSE = 1.3
 """Factor on the measured error above which a row fails."""
 
@@ -113,3 +116,14 @@ def test_the_controller_is_no_more_than_30_percent_worse_than_it_was(row: Row) -
     found = judged(Job(row, DEFAULT, 1, {}))
     assert found.mean_m < WORSE * ROWS[row]
     assert math.isfinite(found.arrival_s)
+
+
+def test_the_gain_is_stable_at_every_speed_of_the_water_and_does_nothing_at_the_trim() -> None:
+    vehicle = Vehicle.load("paper")
+    made = lqr.Lqr(vehicle, tuning.gains()["paper"]["lqr"])
+    still = Estimate.at_rest(heading_rad=math.pi, depth_m=1.0)
+    current = CurrentProfile(depth_m=np.array([0.0, 2.0]), north_mps=np.full(2, 0.1), east_mps=np.zeros(2))
+    pair = made.thrust(msgspec.structs.replace(still, current=current), (0.0, 0.0))
+    assert pair == pytest.approx((0.5 * 500.0 * 0.1**2,) * 2, abs=1e-9)  # head into the current, against the drag
+    north = made.thrust(msgspec.structs.replace(still, current=current), (-0.1, 0.0))
+    assert min(north) > max(pair)  # the target is ahead

@@ -73,9 +73,7 @@ def test_axe_finds_no_serious_violation_on_the_live_page(browser: Any, live: Ser
 
 
 @pytest.mark.parametrize("scheme", SCHEMES)
-def test_axe_finds_no_serious_violation_in_a_report(
-    browser: Any, reports: tuple[Path, Path], axe: str, scheme: str
-) -> None:
+def test_axe_finds_no_serious_violation_in_a_report(browser, reports, axe, scheme) -> None:
     with tab(browser, SCREEN, own=reports[0].as_uri(), scheme=scheme) as page:
         shown_report(page, reports[0])
         page.evaluate(axe)
@@ -111,9 +109,7 @@ def test_the_keyboard_reaches_every_control(browser: Any, live: Served, reports:
         check_keyboard(page, 20)
 
 
-def test_after_the_end_everyone_can_use_the_page(
-    browser: Any, live: Served, reports: tuple[Path, Path], axe: str
-) -> None:
+def test_after_the_end_everyone_can_use_the_page(browser, live, reports, axe) -> None:
     with tab(browser, SCREEN, own=live.url) as page, ended(live, reports[0]):
         page.goto(f"{live.url}#{live.token}")
         until(lambda: page.locator("#finished a").count() == 1)
@@ -127,9 +123,7 @@ def test_after_the_end_everyone_can_use_the_page(
 
 
 @pytest.mark.parametrize("what", ["live page", "report"])
-def test_text_of_twice_the_size_loses_nothing(
-    large_letters: Any, live: Served, reports: tuple[Path, Path], what: str
-) -> None:
+def test_text_of_twice_the_size_loses_nothing(large_letters, live, reports, what) -> None:
     own = live.url if what == "live page" else reports[0].as_uri()
     with tab(large_letters, SCREEN, own=own) as page:
         if what == "live page":

@@ -20,7 +20,7 @@ from tests.docs.pages import ROOT, blocks
 def extension(name: str, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     """Import an extension of the site from docs/extensions, which is not a package."""
     monkeypatch.syspath_prepend(ROOT / "docs" / "extensions")
-    for own in ("anchors", "commands", "docstrings", "drawings", "glossary", "offline", "settings"):
+    for own in ("anchors", "commands", "docstrings", "drawings", "glossary", "offline", "protocol_page", "settings"):
         monkeypatch.delitem(sys.modules, own, raising=False)
     return importlib.import_module(name)
 

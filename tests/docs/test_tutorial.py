@@ -1,4 +1,4 @@
-"""Tutorials: each shown line is one that the commands above it print, and the steps take the time of the title.
+"""Tutorials: each shown line is one that the commands above it print.
 
 The commands run in the page's order and one folder. What runs in lock step is the same on every machine, so that its
 numbers are compared too. Of the demo, which the reader runs as processes, a summary with known figures is formatted,
@@ -8,7 +8,6 @@ and a short run in lock step takes its place. tests/examples/test_python_publish
 
 from __future__ import annotations
 
-import re
 import runpy
 from collections import deque
 from pathlib import Path
@@ -19,7 +18,7 @@ import pytest
 from services.cli.app import run
 from services.reporting.run_summary_text import verdict
 from tests.docs.page_reader import SEVERAL_TERMINALS, PageReader, printed_lines, take_shown
-from tests.docs.pages import ROOT, Block, Command, blocks
+from tests.docs.pages import Block, Command, blocks
 from tests.services.reporting.test_run_summary_text import SUMMARY
 
 TUTORIALS = ("docs/tutorial.md", "docs/tutorial-vehicle.md")
@@ -38,8 +37,6 @@ DEMO: dict[str, Any] = {
 
 DEMO_LINES = printed_lines(verdict(DEMO, Path("runs/demo")), exact=False)
 IN_LOCK_STEP = ("sim", "--lockstep", "--surface-time-s", "2", "--duration-s", "5", "--seed", "1")
-MINUTES = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
-TITLES = {"fifteen": 15, "twenty": 20}
 
 
 class Session(PageReader):
@@ -70,9 +67,7 @@ class Session(PageReader):
 
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("page", TUTORIALS)
-def test_each_shown_line_is_printed_by_the_commands_above_it(
-    page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_each_shown_line_is_printed_by_the_commands_above_it(page, tmp_path, monkeypatch, capsys) -> None:
     monkeypatch.chdir(tmp_path)
     session, side_by_side = Session(tmp_path, capsys), False
     last = max(i for i, block in enumerate(blocks(page)) if block.language == "text")
@@ -86,14 +81,3 @@ def test_each_shown_line_is_printed_by_the_commands_above_it(
 def test_each_line_of_a_summary_in_the_readme_has_the_shape_of_a_printed_one() -> None:
     (shown,) = (block for block in blocks("README.md") if block.language == "text")
     assert take_shown(shown.text, deque(DEMO_LINES)) is None
-
-
-@pytest.mark.parametrize("page", TUTORIALS)
-def test_the_steps_together_take_the_time_of_the_title(page: str) -> None:
-    title, *headings = re.findall(r"^##? (.*)$", (ROOT / page).read_text(), re.MULTILINE)
-    steps = [heading for heading in headings if re.match(r"\d\. ", heading)]
-    minutes = [re.search(r"\((\w+) minutes?\)$", step) for step in steps]
-    assert all(minutes), steps
-    whole = re.search(rf"in ({'|'.join(TITLES)}) minutes", title)
-    assert whole is not None
-    assert sum(MINUTES.index(found[1]) for found in minutes if found) == TITLES[whole[1]]

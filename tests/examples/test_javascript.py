@@ -78,9 +78,7 @@ def test_it_sees_what_is_not_as_the_schema_says(program: Path, tmp_path: Path) -
         assert problem in line
 
 
-def test_what_it_writes_is_an_estimate_to_the_decoder_with_nanoseconds_since_1970(
-    program: Path, tmp_path: Path
-) -> None:
+def test_what_it_writes_is_an_estimate_to_the_decoder_with_nanoseconds_since_1970(program, tmp_path) -> None:
     before = time.time_ns()
     assert run(program, [], tmp_path / "estimate").returncode == 0
     estimate, header = decode(Estimate, (tmp_path / "estimate").read_bytes())

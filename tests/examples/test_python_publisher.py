@@ -6,7 +6,6 @@ import ast
 import re
 import subprocess
 import sys
-import threading
 from collections import deque
 from itertools import takewhile
 from pathlib import Path
@@ -14,13 +13,12 @@ from typing import Any
 
 import pytest
 
-from ltv_mpc.messages import Clock, ClockState, FenceInForce, Obstacle
+from ltv_mpc.messages import FenceInForce, Obstacle
 from services.bus.mailbox import Mailbox
 from services.bus.options import BusOptions
 from services.bus.session import open_session
 from services.bus.topics import BY_TYPE, expression
-from services.bus.wire import Header, decode, encode
-from services.runtime.clock import boot_id
+from services.bus.wire import decode
 from services.runtime.stopping import StopRequest
 from services.supervisor import loopback
 from tests.docs.page_reader import printed_lines, take_shown
@@ -125,47 +123,3 @@ def shown_by_the_tutorial() -> list[str]:
     page = blocks("docs/tutorial.md")
     terminals = next(i for i, block in enumerate(page) if "examples/python/publisher.py" in block.text)
     return [block.text for block in takewhile(lambda block: block.language == "text", page[terminals + 1 :])]
-
-
-def announce_clock(endpoint: str, stop: StopRequest) -> None:
-    """Publish `clock` ten times a second, as a vehicle with the project's estimator does."""
-    clock = Clock(
-        clock_epoch=1,
-        clock_sequence=0,
-        host_boot_id=boot_id(),
-        at_monotonic_us=0,
-        vehicle_ns=0,
-        speed_num=1,
-        speed_den=1,
-        requested_speed=1.0,
-        state=ClockState.RUNNING,
-    )
-    ended, number = threading.Event(), 0
-    with open_session(BusOptions(connect=(endpoint,)), stop=stop, say=print) as session:
-        put = session.publisher(BY_TYPE[Clock].key).put
-        while not stop():
-            put(encode(clock, Header(epoch=1, sequence=number, sent_monotonic_us=0)))
-            number += 1
-            ended.wait(0.1)
-
-
-@pytest.mark.timeout(400)
-def test_it_follows_plans_by_the_announced_clock_of_a_vehicle(tmp_path: Path) -> None:
-    (tmp_path / "point.toml").write_text('kind = "point"\nnorth_m = 0.0\neast_m = 0.0\n')
-    stop = StopRequest()
-
-    def has_moved(line: str) -> bool:
-        found = re.match(r"(-?[\d.]+) m north, -?[\d.]+ m east, controller", line)
-        return found is not None and float(found[1]) < 2.5
-
-    with controller(loopback.free_port(), ("--reference", str(tmp_path / "point.toml"))) as (endpoint, _):
-        thread = threading.Thread(target=announce_clock, args=(endpoint, stop))
-        thread.start()
-        try:
-            with started(sys.executable, "-P", str(EXAMPLE), endpoint) as (_, vehicle):
-                vehicle.until(lambda line: "disarmed" in line)
-                arm(CLI, endpoint)
-                vehicle.until(has_moved, within_s=60.0)
-        finally:
-            stop.request()
-            thread.join(10.0)

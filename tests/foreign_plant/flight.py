@@ -1,14 +1,14 @@
 """The foreign craft and the controller at simulated time, in a current of 0.2 m/s that the controller does not know.
 
 Every message passes as bytes through the codec, the message validation and the clock synchronisation of a process. A
-scenario overrides ``estimates``, ``accepts`` or ``delivered``, or sets the clock of the craft.
+scenario changes ``sources`` or ``accepts``, or sets the clock of the craft.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, TypeAlias
 
 import msgpack
 import numpy as np
@@ -45,13 +45,12 @@ FIRST_EPOCH = 1
 """Of the first controller; each later one has the next."""
 
 
-class Figure(NamedTuple):
-    """One figure of a scenario and its limit."""
+Source: TypeAlias = tuple[str, Sender, Callable[[int], dict[str, Any]]]
+"""Key, sender, and the fields of its message by the time of the craft (ns)."""
 
-    name: str
-    value: float
-    limit: float  # the largest value allowed
-    unit: str
+CORNERS = np.array([[0.0, 0.0], [0.0, 20.0], [-20.0, 20.0], [-20.0, 0.0]])
+SIDE_M, SPEED_MPS = 20.0, 1.0
+"""Of the square."""
 
 
 class Flight:
@@ -66,10 +65,17 @@ class Flight:
         reports: bool = True,
         heading_rad: float = 2.2,
         delay_us: int = DELAY_US,
+        start_m: tuple[float, float] = (0.0, 0.0),
+        armed: bool = False,
     ) -> None:
-        """Begin at the origin, disarmed. Without ``reports`` the actuators publish nothing."""
+        """Begin at ``start_m``. Without ``reports`` the actuators publish nothing."""
         self.hull = Hull(heading_rad=heading_rad, current_mps=CURRENT_MPS)
+        self.hull.x[:2] = start_m
         self.actuators, self.sender = Actuators(), Sender()
+        self.sources: list[Source] = [("estimate", self.sender, self.hull.estimate)]
+        """Of the estimates, which are published every 0.1 s."""
+        self.accepts: Callable[[dict[str, Any]], bool] = lambda _plan: True
+        """Whether the actuators accept a plan."""
         self.vehicle, self.reference, self.config = Vehicle.load(str(vehicle)), reference, config or ControllerConfig()
         self.node = self.new_node()
         self.validator = MessageValidator(RateLimit())
@@ -92,20 +98,8 @@ class Flight:
         self._inbox: list[ReceivedMessage] = []
         self._under_way: list[tuple[int, bytes]] = []
         self._sequence = 0
-
-    # --- what a scenario overrides ---
-
-    def estimates(self, t_ns: int) -> Iterable[tuple[str, Sender, dict[str, Any]]]:
-        """Return the estimates published now, every 0.1 s: key, sender and fields of each."""
-        return [("estimate", self.sender, self.hull.estimate(t_ns))]
-
-    def accepts(self, plan: dict[str, Any]) -> bool:  # noqa: ARG002 (of overriding methods)
-        """Return True if the actuators accept a plan."""
-        return True
-
-    def delivered(self, command_N: tuple[float, float]) -> tuple[float, float]:
-        """Return the commands that the thrusters follow."""
-        return command_N
+        if armed:
+            self.command(action="arm")
 
     # --- what a scenario does ---
 
@@ -139,6 +133,10 @@ class Flight:
             self._step()
         return np.array(self._track[begin:])
 
+    def follow_square(self) -> None:
+        """Send the square as an operator."""
+        self.command(action="follow", reference_toml=SQUARE.read_text())
+
     @property
     def track(self) -> np.ndarray:
         """Positions (M, 2) since the start, north and east (m), one each 20 ms."""
@@ -165,12 +163,12 @@ class Flight:
                 self.actuators.rejected += 1
             self._report()
         if self.host_us % ESTIMATE_PERIOD_US == 0:
-            for key, sender, fields in self.estimates(self.craft_ns):
-                self._receive(key, sender, fields)
+            for key, sender, fields in self.sources:
+                self._receive(key, sender, fields(self.craft_ns))
             self._report()
         if self._runs and self.host_us % CYCLE_PERIOD_US == 0 and self._sync.active:
             self._cycle()
-        self.hull.step(self.delivered(self.actuators.step(self.craft_ns)))
+        self.hull.step(self.actuators.step(self.craft_ns))
         self._track.append((self.hull.x[0], self.hull.x[1]))
         self.host_us += STEP_US
 
@@ -225,7 +223,17 @@ class Flight:
                 self.outputs.append(message)
 
 
-def distance_m(track: np.ndarray) -> np.ndarray:
-    """Return the distance (M,) of positions (M, 2) from the origin (m)."""
-    distance: np.ndarray = np.hypot(track[:, 0], track[:, 1])
+def farthest_m(track: np.ndarray) -> float:
+    """Return the largest distance of positions (M, 2) from the origin (m)."""
+    return float(np.hypot(*track.T).max())
+
+
+def distance_from_outline_m(track: np.ndarray) -> np.ndarray:
+    """Return the distance (M,) of positions (M, 2) from the outline of the square (m)."""
+    sides = zip(CORNERS, np.roll(CORNERS, -1, axis=0), strict=True)
+    legs = [
+        np.linalg.norm(track - a - np.clip((track - a) @ (b - a) / SIDE_M**2, 0.0, 1.0)[:, None] * (b - a), axis=1)
+        for a, b in sides
+    ]
+    distance: np.ndarray = np.min(legs, axis=0)
     return distance

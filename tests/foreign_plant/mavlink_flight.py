@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import importlib.util
 import random
-from math import asin, atan2
 from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
@@ -23,7 +22,7 @@ from services.edges.edge import Outgoing, Received
 from services.edges.mavlink.codec import Codec
 from services.edges.mavlink.edge import MavlinkEdge, Settings
 from tests.foreign_plant.flight import HULL, STEP_US, Flight
-from tests.foreign_plant.plant import Hull, _rotation
+from tests.foreign_plant.plant import Hull
 
 ROOT = Path(__file__).resolve().parents[2]
 GCS, EDGE_LINK, GCS_LINK = 255, 0, 1
@@ -54,15 +53,16 @@ class Craft:
         self.hull.step(command_N)
 
     def position(self) -> tuple[float, float, float]:
-        return self.hull.x[0], self.hull.x[1], self.hull.x[2]
+        north, east, down = self.hull.x[:3].tolist()
+        return north, east, down
 
     def velocity(self) -> tuple[float, float, float]:
         fields = self.hull.estimate(0)
         return fields["velocity_north_mps"], fields["velocity_east_mps"], 0.0
 
     def attitude(self) -> tuple[float, ...]:
-        R = _rotation(*self.hull.x[3:7])
-        return atan2(R[2][1], R[2][2]), -asin(R[2][0]), atan2(R[1][0], R[0][0]), *self.hull.x[10:13]
+        heading_rad = self.hull.estimate(0)["heading_rad"]
+        return *self.hull.plant.attitude_rad, heading_rad, *self.hull.x[10:13].tolist()
 
 
 def vehicle() -> Vehicle:
@@ -83,6 +83,9 @@ class Faults(NamedTuple):
     lost: float = 0.0
     reordered: float = 0.0
     repeated: float = 0.0
+
+
+BAD = Faults(lost=0.2, reordered=0.2, repeated=0.2)
 
 
 class MavlinkFlight(Flight):

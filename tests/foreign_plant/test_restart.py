@@ -1,7 +1,12 @@
-"""The foreign craft as a process of its own: its clock is set back, its controller killed, and stopped by command."""
+"""Restarts of the controller of the foreign craft: in lock step, and as processes of their own.
+
+In lock step the controller is killed, and another one continues from the checkpoint after 3 s. The actuators reject the
+plans of another controller while those of the first one are in time, by the protocol's rule.
+"""
 
 from __future__ import annotations
 
+import io
 import json
 import math
 import os
@@ -12,15 +17,18 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from ltv_mpc.config import to_toml
+from services.processes.checkpoint import Checkpoint
+from services.runtime.console import Console
 from services.supervisor import loopback
-from tests.foreign_plant.flight import HERE, HULL
+from tests.foreign_plant.flight import HERE, HULL, Flight, distance_from_outline_m, farthest_m
 from tests.foreign_plant.plant import SET_AT_S
-from tests.foreign_plant.scenarios.controller_restarted import RestartedFlight, held
 from tests.system.alone import CLI, Lines, started
 from tests.waiting import until
 
@@ -117,9 +125,80 @@ def watchdog_stops_with_the_process(process: subprocess.Popen[str], notified: Ca
     until(lambda: "WATCHDOG" in notified())
 
 
+# --- in lock step ----------------------------------------------------------------------------------------------------
+
+SILENT_US = 750_000
+"""Silence of one controller after which the actuators accept another one: 2.5 periods."""
+
+
+class RestartedFlight(Flight):
+    """Flight whose controller has a checkpoint, and whose actuators follow one controller at a time."""
+
+    def __init__(self, folder: Path, *, reports: bool = True, resumes: bool = True) -> None:
+        super().__init__(reports=reports)
+        self._folder, self._resumes = folder, resumes
+        self._commander, self._accepted_us = 0, -SILENT_US
+        self.in_force_us: dict[int, int] = {}
+        """Time of the first accepted plan of each controller, by its epoch."""
+        self.accepts = self._follows
+        self.start()
+        self.command(action="arm")
+
+    def _follows(self, plan: dict[str, Any]) -> bool:
+        epoch = plan["epoch"]
+        if epoch != self._commander and self.host_us - self._accepted_us < SILENT_US:
+            return False
+        self._commander, self._accepted_us = epoch, self.host_us
+        self.in_force_us.setdefault(epoch, self.host_us)
+        return True
+
+    def start(self) -> None:
+        """Start a controller from the checkpoint."""
+        within_s = 60.0 if self._resumes else None
+        console = Console("controller", out=io.StringIO())
+        self.checkpoint = Checkpoint(self._folder, to_toml(self.reference), resume_within_s=within_s, console=console)
+        self.start_controller(self.checkpoint)
+
+    def restart(self) -> float:
+        """Kill the controller and start another one. Return the time (s) from the kill to its first plan in force."""
+        killed_us = self.host_us
+        self.kill_controller()
+        self.checkpoint.close()
+        self.fly(3.0)
+        self.start()
+        while self.epoch not in self.in_force_us:
+            self.fly(0.1)
+        return (self.in_force_us[self.epoch] - killed_us) * 1e-6
+
+
+@pytest.mark.parametrize("reports", [True, False])
+def test_the_next_controller_continues_and_the_learned_current_is_not_learned_again(
+    tmp_path: Path, reports: bool
+) -> None:
+    """Without it the craft would be half a metre off once more: see the start of the hold."""
+    flight = RestartedFlight(tmp_path, reports=reports)
+    flight.fly(33.0)  # the newest state is some seconds old
+    assert flight.restart() <= 5.0
+    before, first = next(
+        (a, b) for a, b in pairwise(flight.plans) if b.cycle_t_ns > flight.plans[0].cycle_t_ns + 34_000_000_000
+    )
+    assert abs(first.thrust_N[:, :2].mean() - before.thrust_N[:, :2].mean()) < 5.0
+    flight.fly(30.0)
+    assert farthest_m(flight.track[1500:]) < 0.5
+    assert flight.actuators.rejected == 0
+
+
+def test_a_controller_that_is_killed_on_a_square_leaves_its_outline_by_half_a_metre_at_most(tmp_path: Path) -> None:
+    flight = RestartedFlight(tmp_path)
+    flight.fly(30.0)
+    flight.follow_square()
+    flight.fly(40.0)
+    flight.restart()
+    assert distance_from_outline_m(flight.fly(40.0)).max() < 0.5
+
+
 def test_without_resume_armed_it_drifts_until_arm_continues_the_reference(tmp_path: Path) -> None:
     flight = RestartedFlight(tmp_path, resumes=False)
-    flight.command(action="arm")
     flight.fly(20.0)
     flight.restart()
     flight.fly(3.0)
@@ -127,11 +206,3 @@ def test_without_resume_armed_it_drifts_until_arm_continues_the_reference(tmp_pa
     flight.command(action="arm")
     flight.fly(1.0)
     assert flight.plans[-1].authority == "controller"
-
-
-def test_the_learned_current_is_not_learned_again() -> None:
-    """Without it the craft would be half a metre off once more: see the start of the hold."""
-    flight, _ = held()
-    first = next(plan for plan in flight.plans if plan.cycle_t_ns > flight.plans[0].cycle_t_ns + 34_000_000_000)
-    before = flight.plans[flight.plans.index(first) - 1]
-    assert abs(first.thrust_N[:, :2].mean() - before.thrust_N[:, :2].mean()) < 5.0

@@ -30,17 +30,6 @@ def test_rotation_is_heading_then_pitch_then_roll(roll, pitch, heading):
     np.testing.assert_allclose(frames.roll_pitch_heading(R), [roll, pitch, heading], atol=1e-12)
 
 
-def test_a_body_that_heads_east_looks_east_and_its_starboard_looks_south():
-    R = frames.rotation(0.0, 0.0, math.pi / 2)
-    np.testing.assert_allclose(R @ [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], atol=1e-15)
-    np.testing.assert_allclose(R @ [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], atol=1e-15)
-
-
-def test_pitch_raises_the_bow_and_roll_lowers_starboard():
-    assert (frames.rotation(0.0, 0.1, 0.0) @ [1.0, 0.0, 0.0])[2] < 0
-    assert (frames.rotation(0.1, 0.0, 0.0) @ [0.0, 1.0, 0.0])[2] > 0
-
-
 @settings(deadline=None)  # the first example compiles
 @given(vectors, lengths)
 def test_exp_and_log_agree_with_scipy_and_with_each_other(vector, length):
@@ -68,7 +57,7 @@ def test_skew_is_the_cross_product(a, b):
 @given(st.floats(-50.0, 50.0))
 def test_wrapped_angles_lie_within_half_a_turn_and_point_the_same_way(angle):
     wrapped = frames.wrap_angle(angle)
-    assert -math.pi < wrapped <= math.pi
+    assert -math.pi < wrapped <= math.pi == frames.wrap_angle(-math.pi)
     assert math.isclose(math.cos(wrapped - angle), 1.0, abs_tol=1e-12)
     assert abs(math.sin(wrapped - angle)) < 1e-13
 
@@ -76,10 +65,6 @@ def test_wrapped_angles_lie_within_half_a_turn_and_point_the_same_way(angle):
 @pytest.mark.parametrize("angle", [math.pi, -3.0, 0.0, 1e-300, -1e-300, 3.0])
 def test_an_angle_within_half_a_turn_is_left_alone(angle):
     assert frames.wrap_angle(angle) == angle
-
-
-def test_minus_half_a_turn_is_written_as_plus():
-    assert frames.wrap_angle(-math.pi) == math.pi
 
 
 def test_the_earth_turns_up_at_the_north_pole_and_north_at_the_equator():

@@ -18,18 +18,8 @@ from tests.docs.pages import ROOT
 
 PACKAGES = ("ltv_mpc", "sim", "services")
 EXTRAS = {
-    "viz",
-    "secure",
-    "ros2",
-    "mavlink",
-    "gpx",
-    "parquet",
-    "campaign",
-    "bench",
-    "docs",
-    "mutation",
-    "dev",
-    "notebook",
+    *("viz", "secure", "ros2", "mavlink", "gpx", "parquet", "campaign"),
+    *("bench", "docs", "mutation", "dev", "notebook"),
 }
 CORE_LACKS = (
     "plotly",

@@ -117,25 +117,9 @@ def dive(world: World, seed: int, *, duration: float = 420.0) -> Dive:
         orbital = world.swell * math.exp(-depth / 4) * rng.standard_normal(2)
         velocity = water.at(np.array([depth]), position[0])[0] + through + orbital
         pitch = -26.0 * sign + 0.5 * rng.standard_normal()
-        frames.append(
-            _ensemble(
-                world,
-                head,
-                water,
-                rng,
-                rdi,
-                d,
-                near + bias,
-                shrink * scale,
-                t,
-                depth,
-                position,
-                velocity,
-                sign,
-                heading,
-                pitch,
-            )
-        )
+        beams = rdi, d, near + bias, shrink * scale
+        moment = t, depth, position, velocity, sign, heading, pitch
+        frames.append(_ensemble(world, head, water, rng, *beams, *moment))
         log.append((t, depth, position.copy(), velocity))
         dt = world.period * (1 + 0.05 * rng.uniform(-1, 1))
         dt = round(dt, 2)

@@ -1,16 +1,13 @@
-"""Descents through measured currents, as processes over Zenoh and in lock step."""
+"""Descents through measured currents, in lock step; to the processes of a run all currents are alike."""
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from ltv_mpc.currents import read_profile
+from services.run import folder
 from services.run.run_config import Override, RunConfig, resolve
 from services.tools import lockstep_run
 
@@ -30,27 +27,6 @@ def measured(name: str) -> Path:
     return path
 
 
-def sim(tmp_path: Path, *options: str) -> dict[str, Any]:
-    """Run `ltv-mpc sim` as a user does and return the summary."""
-    command = [sys.executable, "-P", "-m", "services.cli", "sim", *options, "--json", "--out", str(tmp_path / "run")]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=200, check=False)
-    assert done.returncode == 0, done.stderr
-    summary: dict[str, Any] = json.loads(done.stdout)
-    return summary
-
-
-def test_processes_run_through_a_measured_current_without_a_message_rejected_or_lost(tmp_path):
-    """The strongest current; the others run in lock step, because to the processes they are all alike."""
-    current = str(measured(FILES[-1]))
-    summary = sim(tmp_path, "descent", "--currents", current, "--duration-s", "16", "--speed", "10")
-    assert summary["mode"] == "services"
-    assert summary["messages"]["rejected"] == 0
-    assert summary["messages"]["dropped"] == 0
-    assert summary["plans_refused"] == 0
-    assert summary["messages"]["published"] > 3000
-    assert summary["thrust"]["max_slew_N_per_s"] <= 100.0 + 1e-6
-
-
 def in_current(path: Path, *settings: str) -> RunConfig:
     return resolve("descent", [Override("test", ["water.kind=measured", f"water.file={path}", *settings])])
 
@@ -64,10 +40,13 @@ def test_a_vehicle_holds_a_strong_measured_current_that_carries_others_away():
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_a_profile_is_held_constant_beyond_both_ends_and_the_run_says_so(name):
+def test_a_profile_is_held_constant_beyond_both_ends_and_the_run_and_its_folder_say_so(name, tmp_path):
     profile, here = read_profile(measured(name)), in_current(measured(name))
+    with folder.reserve(here.name, here.files, out=tmp_path / "run") as made:
+        in_processes = resolve(str(made.scenario))
     for end, beyond_m in ((0, -1.0), (-1, 30.0)):
-        velocity = profile.north_mps[end], profile.east_mps[end]
-        assert here.water.at(profile.depth_m[end], 0) == pytest.approx(velocity)
-        assert here.water.at(profile.depth_m[end] + beyond_m, 10**11) == pytest.approx(velocity)
+        velocity, depth_m = (profile.north_mps[end], profile.east_mps[end]), profile.depth_m[end]
+        for run in (here, in_processes):
+            assert run.water.at(depth_m, 0) == pytest.approx(velocity)
+            assert run.water.at(depth_m + beyond_m, 10**11) == pytest.approx(velocity)
     assert any(name in note and "constant" in note for note in here.notes)

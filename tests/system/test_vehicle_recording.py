@@ -101,13 +101,3 @@ def test_the_report_has_track_thrusts_and_delays_and_no_empty_plot(recording: Pa
     times = run["tables"]["thrust"]["t_s"]
     assert 0.0 <= times[0] < times[-1] < 120.0
     assert "arm accepted" in [mark["text"] for mark in run["marks"]]
-
-
-@pytest.mark.timeout(600)
-def test_exports_have_every_message_of_it(recording: Path, tmp_path: Path) -> None:
-    ltv_mpc("log", "export", str(recording), "--out", str(tmp_path / "csv"))
-    found = {
-        key["key"]: key["messages"] for key in json.loads(ltv_mpc("log", "info", str(recording), "--json"))["keys"]
-    }
-    rows = (tmp_path / "csv" / "estimate.csv").read_text().splitlines()
-    assert len(rows) == 1 + found["estimate"]

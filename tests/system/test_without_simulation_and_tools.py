@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import subprocess
@@ -47,13 +48,16 @@ def test_plans_reach_a_publisher_and_the_recording(command: tuple[str, ...], tmp
         router.until(lambda line: "ready at" in line)
         with (
             started(*cli, "recorder", "--out", str(out), *here) as (recorder, _),
-            started(*cli, "controller", *plans, *here) as (_, controller),
+            started(*cli, "controller", "--log-json", *plans, *here) as (_, controller),
         ):
             controller.until(lambda line: "waiting for" in line)
             with started(*command, str(PUBLISHER), endpoint) as (_, vehicle):
                 vehicle.until(lambda line: "disarmed" in line)
                 arm(cli, endpoint)
                 vehicle.until(lambda line: line.rstrip().endswith("controller"))  # it obeys plans
+            controller.until(lambda line: json.loads(line)["text"] == "authority: controller")
             recorder.terminate()
             assert recorder.wait(10.0) == 0
+    kinds = {json.loads(line)["kind"] for line in controller.said}
+    assert {"note", "health", "authority", "source"} <= kinds
     assert sum(message.key == "plan" for message in Recording(out / "run.mcap")) > 0

@@ -20,10 +20,10 @@ from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter
 from ltv_mpc.localisation.filter.state import Belief, Layout
 from ltv_mpc.localisation.sensor_config import SensorConfig
-from ltv_mpc.localisation.water.column import Link, WaterColumn
+from ltv_mpc.localisation.water.column import WaterColumn
 from ltv_mpc.localisation.water.current_model import node_prior
 from ltv_mpc.localisation.water.grid_window import conditioning_states
-from ltv_mpc.messages import DroppedGridPoint, EstimatorState
+from ltv_mpc.messages import EstimatorState
 
 
 def settings_of(sensor_config: SensorConfig, config: EstimatorConfig, prior: WaterPrior | None) -> int:
@@ -61,7 +61,7 @@ def checkpoint_of(filter_: ErrorStateFilter, settings: int, restarts: int) -> Es
         epoch_t_ns=belief.epoch_t_ns,
         first_grid_point=column.first,
         measured_grid_points=np.flatnonzero(column.observed),
-        dropped_grid_points=tuple(_flat(node, link) for node, link in column.dropped.items()),
+        dropped_grid_points=tuple(column.dropped.values()),
         walk_variance_m2ps2=column.walked,
         restarts=restarts,
     )
@@ -97,7 +97,7 @@ def belief_of(
         prior=node_prior(config, prior),
         first=checkpoint.first_grid_point,
         observed=np.isin(np.arange(layout.nodes), seen),
-        dropped={d.grid_point: _link(d) for d in dropped},
+        dropped={d.grid_point: d for d in dropped},
         walked=checkpoint.walk_variance_m2ps2,
     )
     return Belief(
@@ -110,30 +110,4 @@ def belief_of(
         signatures=FailureSignatures.of(layout.size, 0),
         epoch_t_ns=checkpoint.epoch_t_ns,
         column=column,
-    )
-
-
-def _flat(node: int, link: Link) -> DroppedGridPoint:
-    north, east = link.c.tolist()
-    return DroppedGridPoint(
-        grid_point=node,
-        velocity_mps=(north, east),
-        conditioning_states=link.then,
-        regression=link.A,
-        covariance=link.C,
-        position_cross_covariance=link.B,
-        position_covariance=link.S,
-        walk_variance_m2ps2=link.walked,
-    )
-
-
-def _link(flat: DroppedGridPoint) -> Link:
-    return Link(
-        c=np.array(flat.velocity_mps),
-        then=flat.conditioning_states,
-        A=flat.regression,
-        C=flat.covariance,
-        B=flat.position_cross_covariance,
-        S=flat.position_covariance,
-        walked=flat.walk_variance_m2ps2,
     )

@@ -16,6 +16,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple, TypeAlias
 
+import msgspec
 import numpy as np
 import numpy.typing as npt
 
@@ -37,7 +38,7 @@ Sums: TypeAlias = npt.NDArray[np.uint16]
 Places: TypeAlias = npt.NDArray[np.int64]
 
 
-class Loss(NamedTuple):
+class Loss(msgspec.Struct, frozen=True):
     """Range of bytes that belongs to no ensemble."""
 
     offset: int

@@ -1,7 +1,10 @@
 """Kalman filter of a recorded dive: ADCP beams and, for the first ensembles, bottom track; no IMU.
 
-Attitude and depth come from the instrument and are taken as exact. So the problem is linear: states and propagation are
-in ``model.py``; measurement rows, gate and update are in ``update.py``.
+Attitude and depth come from the instrument and are taken as exact. So the problem is linear (``model.py``).
+In water that is not uniform (``bottom_track.py``) the position error after the last fix has the additional variance, in
+each axis,
+    q_h^2 integral of (t_end - t)^2 |v| dt
+because each change of the current with the distance run is taken for one of the vehicle's velocity from then on.
 """
 
 from __future__ import annotations
@@ -15,13 +18,9 @@ from scipy.stats import chi2
 
 from ltv_mpc.currents import WaterPrior
 from ltv_mpc.localisation.pd0.beams import BeamEnsemble
-from ltv_mpc.localisation.recorded_dive.model import POSITION, VELOCITY, Model
-from ltv_mpc.localisation.recorded_dive.noise import BeamNoise
+from ltv_mpc.localisation.recorded_dive.model import POSITION, VELOCITY, Model, beams, correct, over_ground
 from ltv_mpc.localisation.recorded_dive.parameters import DiveParameters
-from ltv_mpc.localisation.recorded_dive.screening import usable
-from ltv_mpc.localisation.recorded_dive.uniformity import added_variance
-from ltv_mpc.localisation.recorded_dive.update import Mask, beams, correct, over_ground
-from ltv_mpc.localisation.recorded_dive.velocity_change import velocity_changes
+from ltv_mpc.localisation.recorded_dive.recording import BeamNoise, Mask, usable, velocity_changes
 from ltv_mpc.messages import Array
 
 MAX_GRID_POINTS = 200
@@ -40,7 +39,6 @@ class Track:
     position_m: Array  # (N, 2)
     position_covariance: Array  # (N, 2, 2)
     velocity_mps: Array  # (N, 2)
-    velocity_covariance: Array  # (N, 2, 2)
     fixes: int  # ensembles whose bottom track was used
     cells_used: int
     cells_screened: int  # cells with too few good pings or too near the bottom
@@ -73,7 +71,7 @@ def run(ensembles: Sequence[BeamEnsemble], noise: BeamNoise, parameters: DivePar
     gate = float(chi2.ppf(parameters.gate_probability, 1))
     changes = velocity_changes(ensembles, masks, noise, parameters.velocity_change_mps_per_rts)
     x, P = model.prior()
-    position, velocity, p_cov, v_cov = [], [], [], []
+    position, velocity, covariance = [], [], []
     fixed = last_fix = used = rejected = 0
     all_nis = [np.empty(0)]
     for k, (ensemble, mask) in enumerate(zip(ensembles, masks, strict=True)):
@@ -90,9 +88,8 @@ def run(ensembles: Sequence[BeamEnsemble], noise: BeamNoise, parameters: DivePar
         all_nis.append(nis[:cells])
         position.append(x[POSITION].copy())
         velocity.append(x[VELOCITY].copy())
-        p_cov.append(P[POSITION, POSITION].copy())
-        v_cov.append(P[VELOCITY, VELOCITY].copy())
-    position_covariance, velocity_mps = np.array(p_cov), np.array(velocity)
+        covariance.append(P[POSITION, POSITION].copy())
+    position_covariance, velocity_mps = np.array(covariance), np.array(velocity)
     if parameters.water_change_mps_per_rtm:
         t_s = 1e-9 * np.array([e.t_ns - ensembles[last_fix].t_ns for e in ensembles[last_fix:]], dtype=np.float64)
         added = added_variance(t_s, velocity_mps[last_fix:], parameters.water_change_mps_per_rtm)
@@ -103,7 +100,6 @@ def run(ensembles: Sequence[BeamEnsemble], noise: BeamNoise, parameters: DivePar
         position_m=np.array(position),
         position_covariance=position_covariance,
         velocity_mps=velocity_mps,
-        velocity_covariance=np.array(v_cov),
         fixes=fixed,
         cells_used=used,
         cells_screened=there - used - rejected,
@@ -156,3 +152,20 @@ def _water(model: Model, x: Array, P: Array) -> WaterPrior:
         sd_mps=sd,
         sd_common_mps=float(np.sqrt(max(shared, 0.0))),
     )
+
+
+def added_variance(t_s: Array, velocity_mps: Array, change_mps_per_rtm: float) -> Array:
+    """Return the variance of position that the change along the track adds in each axis (m^2), (N,).
+
+    Parameters
+    ----------
+    t_s : (N,) times (s), the first that of the last fix.
+    velocity_mps : (N, 2) velocity over ground.
+    change_mps_per_rtm : q_h.
+    """
+    dt = np.diff(t_s, prepend=t_s[0])
+    run = change_mps_per_rtm**2 * np.hypot(*velocity_mps.T) * dt
+    # sum of (t_k - t_i)^2 run_i over i <= k, from three running sums
+    zero, one, two = (np.cumsum(run * t_s**power) for power in range(3))
+    variance: Array = t_s**2 * zero - 2.0 * t_s * one + two
+    return np.maximum(variance, 0.0)

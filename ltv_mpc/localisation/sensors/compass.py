@@ -38,7 +38,7 @@ def heading_partials(R: Array) -> Array:
     return np.array([-n * d / h2, -e * d / h2, 1.0])
 
 
-def rows(belief: Belief, compass_heading: CompassHeading, compass: Compass) -> Rows:
+def linearise(belief: Belief, compass_heading: CompassHeading, compass: Compass, _: Context) -> Linearised:
     """Linearise a heading about the belief.
 
     Parameters
@@ -56,16 +56,13 @@ def rows(belief: Belief, compass_heading: CompassHeading, compass: Compass) -> R
     partial = np.ones((1, state.shape[1]))
     partial[0, :3] = heading_partials(belief.R)
     expected = heading(belief.R) + float(belief.x[bias].sum())
-    return Rows(
+    rows = Rows(
         state=state,
         partial=partial,
         residual=np.array([wrap_angle(compass_heading.heading_rad - expected)]),
         variance=np.array([compass.heading_sd_rad**2]),
     )
-
-
-def _linearise(belief: Belief, compass_heading: CompassHeading, compass: Compass, _: Context) -> Linearised:
-    return Linearised(rows=rows(belief, compass_heading, compass))
+    return Linearised(rows=rows)
 
 
 COMPASS = Sensor(
@@ -74,5 +71,5 @@ COMPASS = Sensor(
     settings=Compass,
     scalars_per_message=1,
     at_rest=lambda t_ns, _: CompassHeading(t_ns=t_ns, heading_rad=0.0),
-    linearise=_linearise,
+    linearise=linearise,
 )

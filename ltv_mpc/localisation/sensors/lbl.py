@@ -50,19 +50,21 @@ class Lbl(SensorSettings, frozen=True, kw_only=True):
     lever_arm_m: Lever = (0.0, 0.0, 0.0)
 
 
-def rows(belief: Belief, lbl_range: LblRange, lbl: Lbl) -> Rows:
+def linearise(belief: Belief, lbl_range: LblRange, lbl: Lbl, _: Context) -> Linearised:
     """Linearise a range about the belief, to second order.
 
     Parameters
     ----------
     belief : the filter's belief at the range's time, with its covariance at that time.
-    lbl_range : travel time there and back (s), to a transponder that ``lbl`` knows.
+    lbl_range : travel time there and back (s).
     lbl : settings: positions of the transponders, and the assumed sound speed.
 
     Returns
     -------
-    One row.
+    One row; none of a transponder that ``lbl`` does not know.
     """
+    if lbl_range.transponder >= len(lbl.transponders_m):
+        return unusable("unknown_transponder", 1)
     head = lever_arm.point(belief, lbl.lever_arm_m)
     d = belief.x[POSITION] + head.offset - np.array(lbl.transponders_m[lbl_range.transponder])
     r = max(float(np.sqrt(d @ d)), _MIN_RANGE_M)
@@ -78,18 +80,13 @@ def rows(belief: Belief, lbl_range: LblRange, lbl: Lbl) -> Rows:
     partial[0, :3] = k * u
     partial[0, 3:6] = k * u @ head.by_attitude
     partial[0, 6:] = -k * k * r
-    return Rows(
+    rows = Rows(
         state=np.r_[POSITION, ATTITUDE, speed][None],
         partial=partial,
         residual=np.array([0.5 * lbl.sound_speed_mps * lbl_range.travel_time_s - k * r - 0.5 * np.trace(DP)]),
         variance=np.array([max(lbl.range_sd_m**2 + C, floor)]),
     )
-
-
-def _linearise(belief: Belief, lbl_range: LblRange, lbl: Lbl, _: Context) -> Linearised:
-    if lbl_range.transponder >= len(lbl.transponders_m):
-        return unusable("unknown_transponder", 1)
-    return Linearised(rows=rows(belief, lbl_range, lbl), indices=np.array([lbl_range.transponder]))
+    return Linearised(rows=rows, indices=np.array([lbl_range.transponder]))
 
 
 LBL = Sensor(
@@ -98,7 +95,7 @@ LBL = Sensor(
     settings=Lbl,
     scalars_per_message=1,
     at_rest=lambda t_ns, _: LblRange(t_ns=t_ns, transponder=0, travel_time_s=1.0),
-    linearise=_linearise,
+    linearise=linearise,
     availability=Availability.INTERMITTENT,
     source=lambda lbl_range: lbl_range.transponder,
 )

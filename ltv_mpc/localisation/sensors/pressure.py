@@ -24,7 +24,7 @@ class Pressure(SensorSettings, frozen=True, kw_only=True):
     lever_arm_m: Lever = (0.0, 0.0, 0.0)
 
 
-def rows(belief: Belief, depth: PressureDepth, pressure: Pressure) -> Rows:
+def linearise(belief: Belief, depth: PressureDepth, pressure: Pressure, _: Context) -> Linearised:
     """Linearise a depth about the belief.
 
     Parameters
@@ -38,16 +38,13 @@ def rows(belief: Belief, depth: PressureDepth, pressure: Pressure) -> Rows:
     One row.
     """
     gauge = lever_arm.point(belief, pressure.lever_arm_m)
-    return Rows(
+    rows = Rows(
         state=_STATE,
         partial=np.array([[1.0, *gauge.by_attitude[2, :2]]]),
         residual=np.array([depth.depth_m - belief.x[2] - gauge.offset[2]]),
         variance=np.array([pressure.depth_sd_m**2]),
     )
-
-
-def _linearise(belief: Belief, depth: PressureDepth, pressure: Pressure, _: Context) -> Linearised:
-    return Linearised(rows=rows(belief, depth, pressure))
+    return Linearised(rows=rows)
 
 
 PRESSURE = Sensor(
@@ -56,6 +53,6 @@ PRESSURE = Sensor(
     settings=Pressure,
     scalars_per_message=1,
     at_rest=lambda t_ns, _: PressureDepth(t_ns=t_ns, depth_m=0.0),
-    linearise=_linearise,
+    linearise=linearise,
     is_essential=True,
 )

@@ -13,7 +13,7 @@ from ltv_mpc.localisation.filter.state import ATTITUDE, Belief
 from ltv_mpc.localisation.sensors import lever_arm
 from ltv_mpc.localisation.sensors.sensor import Availability, Context, Linearised, Rows, Sensor, unusable
 from ltv_mpc.localisation.sensors.settings import Latency, PositiveSd, SensorSettings
-from ltv_mpc.messages import TdcpFix, Triple
+from ltv_mpc.messages import TdcpFix
 
 
 class Tdcp(SensorSettings, frozen=True, kw_only=True):
@@ -23,36 +23,33 @@ class Tdcp(SensorSettings, frozen=True, kw_only=True):
     latency_ns: Latency = 0
 
 
-def rows(belief: Belief, fix: TdcpFix, tdcp: Tdcp, antenna_m: Triple) -> Rows:
+def linearise(belief: Belief, fix: TdcpFix, tdcp: Tdcp, context: Context) -> Linearised:
     """Linearise a displacement about the belief.
 
     Parameters
     ----------
-    belief : the filter's belief at the fix's time; its clone must be of the epoch at which the displacement begins.
+    belief : the filter's belief at the fix's time.
     fix : displacement of the antenna, north and east (m).
     tdcp : settings of the carrier phase measurement.
-    antenna_m : lever arm of the satellite receiver's antenna (m, body).
+    context : lever arm of the satellite receiver's antenna.
 
     Returns
     -------
-    Two rows: north, east.
+    Two rows: north, east; none if the clone is of another epoch than that at which the displacement begins.
     """
+    if fix.from_t_ns != belief.epoch_t_ns:
+        return unusable("other_epoch", 2)
     e = belief.layout.epoch.start
-    antenna = lever_arm.point(belief, antenna_m)
+    antenna = lever_arm.point(belief, context.sensor_config.gnss.lever_arm_m)
     (q_n, q_e, _), by = antenna.offset, antenna.by_attitude
     x = belief.x
-    return Rows(
+    rows = Rows(
         state=np.array([np.r_[0, e, ATTITUDE], np.r_[1, e + 1, ATTITUDE]]),
         partial=np.array([[1.0, -1.0, *by[0]], [1.0, -1.0, *by[1]]]),
         residual=np.array([fix.north_m - (x[0] + q_n - x[e]), fix.east_m - (x[1] + q_e - x[e + 1])]),
         variance=np.full(2, tdcp.displacement_sd_m**2),
     )
-
-
-def _linearise(belief: Belief, fix: TdcpFix, tdcp: Tdcp, context: Context) -> Linearised:
-    if fix.from_t_ns != belief.epoch_t_ns:
-        return unusable("other_epoch", 2)
-    return Linearised(rows=rows(belief, fix, tdcp, context.sensor_config.gnss.lever_arm_m))
+    return Linearised(rows=rows)
 
 
 TDCP = Sensor(
@@ -61,7 +58,7 @@ TDCP = Sensor(
     settings=Tdcp,
     scalars_per_message=2,
     at_rest=lambda t_ns, tdcp: TdcpFix(t_ns=t_ns, from_t_ns=t_ns - tdcp.period_ns, north_m=0.0, east_m=1e-15 * t_ns),
-    linearise=_linearise,
+    linearise=linearise,
     availability=Availability.SURFACE,
     clones_position=True,
     reading=lambda fix: (fix.north_m, fix.east_m),

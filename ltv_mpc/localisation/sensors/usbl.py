@@ -32,7 +32,7 @@ class Usbl(SensorSettings, frozen=True, kw_only=True):
     lever_arm_m: Lever = (0.0, 0.0, 0.0)
 
 
-def rows(belief: Belief, fix: UsblFix, usbl: Usbl) -> Rows:
+def linearise(belief: Belief, fix: UsblFix, usbl: Usbl, _: Context) -> Linearised:
     """Linearise a position from a ship about the belief.
 
     Parameters
@@ -51,16 +51,13 @@ def rows(belief: Belief, fix: UsblFix, usbl: Usbl) -> Rows:
     partial = np.zeros((2, 4))
     partial[:, 0] = 1.0
     partial[:, 1:] = beacon.by_attitude[:2]
-    return Rows(
+    rows = Rows(
         state=_STATES,
         partial=partial,
         residual=np.array([fix.north_m - north, fix.east_m - east]),
         variance=np.full(2, usbl.position_sd_m**2 + (usbl.bearing_sd_rad * slant) ** 2),
     )
-
-
-def _linearise(belief: Belief, fix: UsblFix, usbl: Usbl, _: Context) -> Linearised:
-    return Linearised(rows=rows(belief, fix, usbl))
+    return Linearised(rows=rows)
 
 
 USBL = Sensor(
@@ -69,6 +66,6 @@ USBL = Sensor(
     settings=Usbl,
     scalars_per_message=2,
     at_rest=lambda t_ns, _: UsblFix(t_ns=t_ns, north_m=0.0, east_m=0.0),
-    linearise=_linearise,
+    linearise=linearise,
     availability=Availability.INTERMITTENT,
 )

@@ -10,27 +10,11 @@ Prior   c_k = mu_k + m + s_k (m/s);  m is common to all depths, sd ``common_sd_m
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from ltv_mpc.messages import Array
-
-
-class Link(NamedTuple):
-    """Conditional distribution of a grid point outside the state: c_k = c + A (g - g_then) + r, cov(r) = C.
-
-    g are the states that A refers to. Of all other states, r is correlated with the position p alone.
-    """
-
-    c: Array  # (2,), m/s, north and east
-    then: Array  # (q,), g when the grid point left the state
-    A: Array  # (2, q)
-    C: Array  # (2, 2), m2/s2
-    B: Array  # (2, 2), cov(r, p), north and east
-    S: Array  # (2, 2), cov(p | g) at that time
-    walked: float  # ``WaterColumn.walked`` at that time
+from ltv_mpc.messages import Array, DroppedGridPoint
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,7 +48,7 @@ class NodePrior:
         covariance: Array = np.outer(sd, sd) * self.correlation ** np.abs(k[:, None] - k[None, :])
         return covariance + self.common_sd_mps**2
 
-    def link(self, node: int, neighbour: int, walked: float) -> Link:
+    def link(self, node: int, neighbour: int, walked: float) -> DroppedGridPoint:
         """Return the link of a grid point k that was never in the state to its neighbour i and to m, g = [c_i, m].
 
         With w the variance of the random walk in time, var_k = sd_k^2 + w and a = rho sd_k sd_i / var_i:
@@ -87,8 +71,17 @@ class NodePrior:
         a = self.correlation * sd * sd_i / variance if variance > 0 else 0.0
         A = np.concatenate([a * np.eye(2), (1.0 - a) * np.eye(2)], axis=1)
         C = (sd**2 + walked - a * a * variance) * np.eye(2)
-        then = np.append(self.mean_mps[neighbour], [0.0, 0.0])
-        return Link(self.mean_mps[node], then, A, C, B=np.zeros((2, 2)), S=np.zeros((2, 2)), walked=walked)
+        north, east = self.mean_mps[node].tolist()
+        return DroppedGridPoint(
+            grid_point=node,
+            velocity_mps=(north, east),
+            conditioning_states=np.append(self.mean_mps[neighbour], [0.0, 0.0]),
+            regression=A,
+            covariance=C,
+            position_cross_covariance=np.zeros((2, 2)),
+            position_covariance=np.zeros((2, 2)),
+            walk_variance_m2ps2=walked,
+        )
 
 
 @dataclass(slots=True, kw_only=True)
@@ -98,7 +91,7 @@ class WaterColumn:
     prior: NodePrior
     first: int  # grid index of the first point in the state
     observed: npt.NDArray[np.bool_]  # (G,), the ADCP has measured between this grid point and a neighbour
-    dropped: dict[int, Link]  # grid points that left the state, above and below the window
+    dropped: dict[int, DroppedGridPoint]  # grid points that left the state, above and below the window
     walked: float  # variance of each grid point from the random walk in time, since the prior (m2/s2)
 
     @classmethod

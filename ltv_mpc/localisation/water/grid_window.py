@@ -28,8 +28,7 @@ import numpy.typing as npt
 from scipy.linalg.lapack import dposv
 
 from ltv_mpc.localisation.filter.state import ATTITUDE, CORE, POSITION, Belief, Layout
-from ltv_mpc.localisation.water.column import Link
-from ltv_mpc.messages import Array
+from ltv_mpc.messages import Array, DroppedGridPoint
 
 Indices: TypeAlias = npt.NDArray[np.int64]
 
@@ -62,7 +61,7 @@ def move_window(belief: Belief, above_m: float, below_m: float, cell_m: float) -
         _shift(belief, down=False)
 
 
-def link_covariance(link: Link, water: npt.NDArray[np.bool_], walked: float) -> Array:
+def link_covariance(link: DroppedGridPoint, water: npt.NDArray[np.bool_], walked: float) -> Array:
     """Return C of a link after further random walk, (2, 2) m2/s2.
 
     Parameters
@@ -71,8 +70,8 @@ def link_covariance(link: Link, water: npt.NDArray[np.bool_], walked: float) -> 
     water : (q,) mask of the states of g that are currents.
     walked : present variance of the random walk (m2/s2).
     """
-    A = link.A[:, water]
-    C: Array = link.C + (walked - link.walked) * (np.eye(2) + A @ A.T)
+    A = link.regression[:, water]
+    C: Array = link.covariance + (walked - link.walk_variance_m2ps2) * (np.eye(2) + A @ A.T)
     return C
 
 
@@ -116,33 +115,36 @@ def _shift(belief: Belief, *, down: bool) -> None:
     if link is None:
         link = column.prior.link(node, node - step, column.walked)
         g = np.array([*_indices(layout, bottom - step), layout.mean.start, layout.mean.start + 1])
-        C = link.C
+        C = link.covariance
     else:
         g = conditioning_states(layout, bottom)
         C = link_covariance(link, g >= layout.north.start, column.walked)
-        rho_B = _remaining_share(link.S, _regression(P, _HORIZONTAL, g)[1]) * link.B
-    k = _indices(layout, bottom)
-    belief.x[k] = link.c + link.A @ (belief.x[g] - link.then)
-    E[k] = link.A @ E[g]
-    P[k, :] = link.A @ P[g, :]
-    own = P[np.ix_(k, g)] @ link.A.T + C
+        remaining = _remaining_share(link.position_covariance, _regression(P, _HORIZONTAL, g)[1])
+        rho_B = remaining * link.position_cross_covariance
+    A, k = link.regression, _indices(layout, bottom)
+    belief.x[k] = link.velocity_mps + A @ (belief.x[g] - link.conditioning_states)
+    E[k] = A @ E[g]
+    P[k, :] = A @ P[g, :]
+    own = P[np.ix_(k, g)] @ A.T + C
     P[np.ix_(k, _HORIZONTAL)] += rho_B
     P[:, k] = P[k, :].T
     P[np.ix_(k, k)] = 0.5 * (own + own.T)
 
 
-def _link(belief: Belief, slot: int) -> Link:
+def _link(belief: Belief, slot: int) -> DroppedGridPoint:
     """Return the link of the grid point at ``slot`` of the window from the present covariance."""
     k, g = _indices(belief.layout, slot), conditioning_states(belief.layout, slot)
     A, C = _regression(belief.P, np.concatenate([k, _HORIZONTAL]), g)
-    return Link(
-        c=belief.x[k],
-        then=belief.x[g],
-        A=A[:2],
-        C=C[:2, :2],
-        B=C[:2, 2:],
-        S=C[2:, 2:],
-        walked=belief.column.walked,
+    north, east = belief.x[k].tolist()
+    return DroppedGridPoint(
+        grid_point=belief.column.first + slot,
+        velocity_mps=(north, east),
+        conditioning_states=belief.x[g],
+        regression=A[:2],
+        covariance=C[:2, :2],
+        position_cross_covariance=C[:2, 2:],
+        position_covariance=C[2:, 2:],
+        walk_variance_m2ps2=belief.column.walked,
     )
 
 

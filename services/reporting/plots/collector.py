@@ -64,10 +64,7 @@ CORRECTING = (
 NIS = {sensor: f"nis_{sensor}" for sensor in CORRECTING}
 """Tables of the normalised innovations, by sensor."""
 
-MEASURED = (
-    *("gnss_position", "gnss_velocity"),
-    *(sensor for sensor in CORRECTING if sensor != "gnss"),
-)
+MEASURED = (*("gnss_position", "gnss_velocity"), *(sensor for sensor in CORRECTING if sensor != "gnss"))
 """Measurements by sensor; those of the satellite receiver have two units."""
 INNOVATIONS = {measured: f"innovation_{measured}" for measured in MEASURED}
 """Tables of the innovations in the unit of the measurement, degrees for an angle."""
@@ -108,13 +105,7 @@ class Collector:
     since 1970 is, otherwise 0.
     """
 
-    def __init__(
-        self,
-        vehicle: Vehicle | None = None,
-        *,
-        rows: int = ROWS,
-        origin_ns: int | None = None,
-    ) -> None:
+    def __init__(self, vehicle: Vehicle | None = None, *, rows: int = ROWS, origin_ns: int | None = None) -> None:
         self._origin_ns = origin_ns
         self.tables = {name: Table(columns, limit=rows, peak=PEAKS.get(name, "")) for name, columns in HISTORY.items()}
         self.marks = Marks(self.seconds)

@@ -12,7 +12,6 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -21,14 +20,23 @@ from ltv_mpc.currents import write_profile
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.localisation.pd0 import reader
 from ltv_mpc.localisation.pd0.beams import BeamEnsemble, to_beams
-from ltv_mpc.localisation.pd0.reader import Recording
+from ltv_mpc.localisation.pd0.reader import Loss, Recording
 from ltv_mpc.localisation.pd0.records import Ensemble, Settings
-from ltv_mpc.localisation.recorded_dive import study
+from ltv_mpc.localisation.recorded_dive.bottom_track import (
+    BottomTrackPath,
+    StartResult,
+    Uniformity,
+    constant_velocity,
+    dead_reckon,
+    evaluate_track,
+    run_start,
+    starts,
+    uniformity,
+    window_end,
+)
 from ltv_mpc.localisation.recorded_dive.filter import Track, run
-from ltv_mpc.localisation.recorded_dive.noise import BeamNoise
 from ltv_mpc.localisation.recorded_dive.parameters import DiveParameters
-from ltv_mpc.localisation.recorded_dive.truth import BottomTrackPath, dead_reckon
-from ltv_mpc.localisation.recorded_dive.uniformity import Uniformity, uniformity
+from ltv_mpc.localisation.recorded_dive.recording import BeamNoise
 from ltv_mpc.messages import Array
 
 MAX_STARTS = 60
@@ -82,7 +90,7 @@ class StudyRow(msgspec.Struct, frozen=True, kw_only=True):
     median_constant_velocity_error_m: float | None  # None without a fix
     ratio: float | None
     inside_3_sigma: float  # share
-    each: tuple[study.StartResult, ...]
+    each: tuple[StartResult, ...]
 
 
 class LocalisationResult(msgspec.Struct, frozen=True, kw_only=True):
@@ -96,12 +104,12 @@ class LocalisationResult(msgspec.Struct, frozen=True, kw_only=True):
     ensembles: int
     lost_bytes: int
     lost_places: int
-    losses: tuple[dict[str, Any], ...]  # offset, length, why
+    losses: tuple[Loss, ...]
     surface_fixes: int
     instrument: InstrumentRow
     track: TrackRow
     water: Uniformity | None  # None: too little bottom track
-    error: study.StartResult | None
+    error: StartResult | None
     study: StudyRow | None
     notes: tuple[str, ...]
     parameters: DiveParameters
@@ -153,7 +161,7 @@ def localise(
         ensembles=len(ensembles),
         lost_bytes=recording.lost_bytes,
         lost_places=recording.lost_places,
-        losses=tuple(loss._asdict() for loss in recording.losses),
+        losses=recording.losses,
         surface_fixes=fixes,
         instrument=_instrument(settings, noise),
         track=_track(track, dive, ensembles[first].number),
@@ -163,7 +171,7 @@ def localise(
         notes=(*heads, *_notes(settings, dive, track, why), *_inconsistency(track, many)),
         parameters=parameters,
     )
-    constant = study.constant_velocity(dive[:fixes])
+    constant = constant_velocity(dive[:fixes])
     return Outcome(result, dive, track, _truth(ground), constant)
 
 
@@ -262,9 +270,9 @@ def _track(track: Track, dive: Sequence[BeamEnsemble], number: int) -> TrackRow:
     )
 
 
-def _error(dive: Sequence[BeamEnsemble], ground: BottomTrackPath, track: Track, fixes: int) -> study.StartResult | None:
-    end = study.window_end(ground, 0)
-    return None if end is None else study.evaluate_track(dive, ground, track, start=0, end=end, offered_fixes=fixes)
+def _error(dive: Sequence[BeamEnsemble], ground: BottomTrackPath, track: Track, fixes: int) -> StartResult | None:
+    end = window_end(ground, 0)
+    return None if end is None else evaluate_track(dive, ground, track, start=0, end=end, offered_fixes=fixes)
 
 
 def _study(
@@ -279,10 +287,10 @@ def _study(
     ground = dead_reckon(dive)
     noise = BeamNoise(dive, parameters.min_good_share)
     rows = []
-    starts = study.starts(dive)[:MAX_STARTS]
-    for done, start in enumerate(starts):
-        progress(done / len(starts))
-        result = study.run_start(dive, ground, noise, parameters, start=start, offered_fixes=fixes)
+    first = starts(dive)[:MAX_STARTS]
+    for done, start in enumerate(first):
+        progress(done / len(first))
+        result = run_start(dive, ground, noise, parameters, start=start, offered_fixes=fixes)
         if result is not None:
             rows.append(result)
     if not rows:

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
-from ltv_mpc.localisation.recorded_dive.study import MAX_START_DEPTH_M, MIN_START_DEPTH_M, WINDOW_S, StartResult
-from ltv_mpc.localisation.recorded_dive.uniformity import Uniformity
+from ltv_mpc.localisation.recorded_dive.bottom_track import (
+    MAX_START_DEPTH_M,
+    MIN_START_DEPTH_M,
+    WINDOW_S,
+    StartResult,
+    Uniformity,
+)
 from services.tools.localise.dive_localisation import LocalisationResult, StudyRow
 
 _STARTS = f"between {MIN_START_DEPTH_M:g} and {MAX_START_DEPTH_M:g} m"
@@ -15,7 +20,7 @@ def text(result: LocalisationResult) -> str:
     lost = f"{result.lost_bytes} bytes lost in {result.lost_places} places" if result.lost_places else "no byte lost"
     rows = [
         ("file", f"{result.file}: {result.ensembles} ensembles, {lost}"),
-        *(("", f"byte {x['offset']}: {x['length']} bytes: {x['why']}") for x in result.losses[:3]),
+        *(("", f"byte {x.offset}: {x.length} bytes: {x.why}") for x in result.losses[:3]),
         (
             "instrument",
             f"{i.frequency_kHz} kHz, {i.beam_angle_deg:g} deg beams looking {i.looks}, {i.coordinates} coordinates,"

@@ -10,15 +10,12 @@ import json
 
 import pytest
 
-from benchmarks.faults import campaign, inject, kinds, lockstep, process_runs, recorded
+from benchmarks.faults import campaign, inject, kinds, lockstep, recorded
 from benchmarks.faults.__main__ import main
 from benchmarks.faults.draw import Run
 from benchmarks.faults.kinds import Fault, Place
-from benchmarks.faults.message_faults import MessageFault
 from ltv_mpc.vehicle.parameters import Vehicle
-from services.bus.options import BusOptions
 from services.replay import replay
-from services.supervisor.entry_point import read_config, write_config
 from services.tools.batch.results_store import NAME, read
 
 
@@ -63,14 +60,3 @@ def test_faults_move_nothing_before_they_begin():
     assert runs[0].estimate[:80] == runs[1].estimate[:80]
     assert runs[1].rejected
     assert not runs[0].rejected
-
-
-def test_the_injector_is_told_what_the_campaign_has_drawn(tmp_path):
-    fault = Fault(kind="message_delay", target="plan", start_s=3.25, end_s=4.5, size=0.125, seed=77)
-    drawn = inject.Injection(key="plan", harm=MessageFault.DELAY, start_s=3.25, end_s=4.5, size=0.125, seed=77)
-    told = inject.Config(
-        node="controller", injections=(process_runs.injection(fault),), at_a=BusOptions(), at_b=BusOptions()
-    )
-    write_config(tmp_path / "inject.json", told)
-    (read,) = read_config(tmp_path / "inject.json", inject.Config).injections
-    assert read == drawn

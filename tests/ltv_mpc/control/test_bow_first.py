@@ -15,8 +15,7 @@ from ltv_mpc.control.solvers import SOLVERS
 from ltv_mpc.messages import Estimate, PlanOrigin
 from ltv_mpc.references import Line, Place, Point
 from ltv_mpc.vehicle.parameters import Vehicle
-from tests.foreign_plant.flight import SQUARE, Flight
-from tests.foreign_plant.scenarios.square import distance_from_outline_m
+from tests.foreign_plant.flight import Flight, distance_from_outline_m
 
 
 def surge_and_distance(limits: MotionLimits) -> tuple[np.ndarray, float]:
@@ -24,10 +23,9 @@ def surge_and_distance(limits: MotionLimits) -> tuple[np.ndarray, float]:
 
     Return the surge speed in each plan from the first ahead on (m/s), and the mean distance from the outline (m).
     """
-    flight = Flight(heading_rad=-math.pi / 2, config=ControllerConfig(limits=limits))
-    flight.command(action="arm")
+    flight = Flight(heading_rad=-math.pi / 2, config=ControllerConfig(limits=limits), armed=True)
     flight.fly(0.5)
-    flight.command(action="follow", reference_toml=SQUARE.read_text())
+    flight.follow_square()
     track = flight.fly(115.0)
     surge = np.array([plan.states[0, 2] for plan in flight.plans if plan.progress is not None])
     return surge[np.argmax(surge > 0.1) :], float(distance_from_outline_m(track).mean())

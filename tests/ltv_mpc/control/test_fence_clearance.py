@@ -21,8 +21,8 @@ from ltv_mpc.control.fence_clearance import (
 )
 from ltv_mpc.control.problem_data import pack_constants, unpack_constants
 from ltv_mpc.control.resolution import settled
+from ltv_mpc.geofence.allowed_path import NO_ZONES
 from ltv_mpc.geofence.fence import Fence
-from ltv_mpc.geofence.routes import NO_ZONES
 from ltv_mpc.geofence.zones import Zones, clearances, pack_zones
 from ltv_mpc.messages import Array
 from tests.ltv_mpc.control.fence_scenes import SMALL, WALLS, scene

@@ -17,8 +17,8 @@ from ltv_mpc.control.ocp.cycle import Cycle
 from ltv_mpc.control.prediction import Start
 from ltv_mpc.control.problem_data import pack_constants, unpack_constants
 from ltv_mpc.control.resolution import settled
+from ltv_mpc.geofence.allowed_path import NO_ZONES
 from ltv_mpc.geofence.fence import Fence
-from ltv_mpc.geofence.routes import NO_ZONES
 from ltv_mpc.geofence.zones import pack_zones
 from ltv_mpc.messages import Array, PlanOrigin
 from tests.ltv_mpc.geofence.shapes import disc

@@ -93,16 +93,6 @@ def test_an_exit_is_asked_of_all_points_however_far() -> None:
     np.testing.assert_allclose(rows.slack[:, 0], [3.8 - 11.0, 301.6 - 11.0])
 
 
-def test_rows_are_the_same_far_to_the_south_west() -> None:
-    ring, far = SQUARE[:, ::-1] * [1.0, 0.5], np.array([-300.0, -200.0])
-    at = np.random.default_rng(0).uniform(-5.0, 15.0, (50, 2))
-    here = rows_of(pack_zones(fence_of(ring, keep_in=False)), at, reach=3.0)
-    there = rows_of(pack_zones(fence_of(ring + far, keep_in=False)), at + far, reach=3.0)
-    np.testing.assert_array_equal(here.zone, there.zone)
-    used = here.zone >= 0
-    np.testing.assert_allclose(here.slack[used], there.slack[used], atol=1e-9)
-
-
 def test_a_point_out_of_reach_has_no_row() -> None:
     zones = pack_zones(Fence(margin_m=0.0, keep_out_disc=(disc(5.0, 0.0, 1.0),)))
     rows = rows_of(zones, np.full(2, 900.0), reach=1.0)

@@ -65,11 +65,6 @@ def test_a_way_keeps_the_clearance_and_reaches_the_goal(name: str) -> None:
     assert clearances(zones, along(START, way)).min() > 1.0 - 2e-3
 
 
-def test_a_point_that_is_seen_is_reached_at_once() -> None:
-    _, of = router(FENCES["disc"])
-    np.testing.assert_array_equal(of.way(START, np.array([0.0, 9.0])), [[0.0, 9.0]])
-
-
 def test_the_way_to_another_point_is_not_that_to_the_one_before() -> None:
     """The second point is the first one seen from the other side of the origin."""
     fence = Fence(margin_m=0.0, keep_out_disc=(disc(10.0, 0.5, 3.0), disc(-10.0, 0.5, 3.0)))
@@ -162,14 +157,6 @@ def test_a_line_is_blocked_if_its_points_are_too_near(
         assert lacking > -0.5 * step_m - 1e-9
     else:
         assert lacking < 1e-9
-
-
-def test_from_inside_a_margin_only_lines_that_come_nearer_to_the_zone_are_blocked() -> None:
-    _, of = router(FENCES["disc"])
-    inside = np.array([6.5, 0.5])  # clearance 0.5 m of 1 m
-    assert not of.is_blocked(inside, np.array([0.0, 0.5]))
-    assert not of.is_blocked(inside, np.array([6.0, 8.0]))
-    assert of.is_blocked(inside, np.array([8.0, -8.0])) is of.is_blocked(inside, np.array([8.0, 9.0])) is True
 
 
 def test_nothing_is_blocked_where_nothing_is_between() -> None:

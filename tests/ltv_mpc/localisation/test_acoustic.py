@@ -6,23 +6,21 @@ import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc.localisation.config import EstimatorConfig
-from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter
 from ltv_mpc.localisation.filter.state import Belief, Layout
-from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors.adcp import beam_directions
 from ltv_mpc.localisation.sensors.bottom_track import BottomTracking
 from ltv_mpc.localisation.sensors.lbl import Lbl
 from ltv_mpc.localisation.sensors.usbl import Usbl
-from ltv_mpc.messages import AdcpPing, BottomTrack, Estimate, LblRange, UsblFix
+from ltv_mpc.messages import AdcpPing, BottomTrack, LblRange, UsblFix
+from tests.ltv_mpc.localisation.dives import CONFIG as SHIPPED
+from tests.ltv_mpc.localisation.dives import PAPER, REALISTIC, Run, S, dive, error_of
+from tests.ltv_mpc.localisation.sensors.every_sensor import with_settings
 
-SECOND = 1_000_000_000
 ODD = {"missing_share": 0.1, "outlier_share": 0.1}
-REALISTIC = SensorConfig.load("realistic")
 LBL = Lbl(
     **ODD,
-    period_ns=5 * SECOND,
+    period_ns=5 * S,
     transponders_m=((150.0, 0.0, 60.0), (-75.0, 130.0, 60.0), (-75.0, -130.0, 60.0)),
     sound_speed_mps=1500.0,
     sound_speed_sd_mps=5.0,
@@ -32,7 +30,7 @@ LBL = Lbl(
 )
 USBL = Usbl(
     **ODD,
-    period_ns=2 * SECOND,
+    period_ns=2 * S,
     latency_ns=800_000_000,
     ship_m=(60.0, -40.0),
     position_sd_m=1.0,
@@ -43,74 +41,66 @@ USBL = Usbl(
 TRACKING = BottomTracking(
     **ODD, period_ns=500_000_000, range_m=50.0, beam_noise_sd_mps=0.003, outlier_mps=0.5, latency_ns=100_000_000
 )
-SUITE = msgspec.structs.replace(REALISTIC, lbl=LBL, usbl=USBL, bottom_track=TRACKING)
-CONFIG = msgspec.structs.replace(EstimatorConfig(), deepest_m=5.0)
+SENSORS = msgspec.structs.replace(REALISTIC, lbl=LBL, usbl=USBL, bottom_track=TRACKING)
+CONFIG = msgspec.structs.replace(SHIPPED, deepest_m=5.0)
+DIVE = dive(SENSORS, 11, duration_s=60.0)
 
 
-@pytest.fixture(scope="module")
-def dive(make_dive):
-    return make_dive(SUITE, 11, duration_s=60.0)
-
-
-def at(dive, t_ns, lever):
+def at(t_ns, lever):
     """Return position and velocity of a point of the vehicle at an inertial sample, by differences of the truth."""
-    k = dive.at(t_ns)
-    path = dive.position[k - 1 : k + 2] + dive.R[k - 1 : k + 2] @ np.array(lever)
+    k = DIVE.at(t_ns)
+    path = DIVE.position[k - 1 : k + 2] + DIVE.R[k - 1 : k + 2] @ np.array(lever)
     return path[1], (path[2] - path[0]) / 0.02
 
 
-def ranges(dive, rng):
+def ranges(rng):
     c = 1500.0 + 5.0 * rng.standard_normal()
-    for t_ns in range(5 * SECOND, 60 * SECOND, 5 * SECOND):
+    for t_ns in range(5 * S, 60 * S, 5 * S):
         for j, place in enumerate(LBL.transponders_m):
-            r = math.dist(at(dive, t_ns, LBL.lever_arm_m)[0], place)
+            r = math.dist(at(t_ns, LBL.lever_arm_m)[0], place)
             noise = 0.5 * rng.standard_normal() + 20.0 * (rng.uniform() < 0.1)
             travel_time_s = 2 * r / c + 2 * noise / 1500.0
             yield t_ns + round(0.5e9 * travel_time_s), LblRange(t_ns=t_ns, transponder=j, travel_time_s=travel_time_s)
 
 
-def fixes(dive, rng):
-    for t_ns in range(2 * SECOND, 59 * SECOND, 2 * SECOND):
-        p, _ = at(dive, t_ns, USBL.lever_arm_m)
+def fixes(rng):
+    for t_ns in range(2 * S, 59 * S, 2 * S):
+        p, _ = at(t_ns, USBL.lever_arm_m)
         sd = math.hypot(1.0, 0.01 * math.dist(p, (*USBL.ship_m, 0.0)))
         n, e = p[:2] + sd * rng.standard_normal(2) + 20.0 * rng.choice([-1, 1], 2) * (rng.uniform(size=2) < 0.1)
         yield t_ns + 800_000_000, UsblFix(t_ns=t_ns, north_m=float(n), east_m=float(e))
 
 
-def bottom(dive, rng):
-    for t_ns in range(SECOND, 60 * SECOND, 500_000_000):
-        _, v = at(dive, t_ns, SUITE.adcp.lever_arm_m)
-        z = -(beam_directions(SUITE.adcp.beam_angle_rad) @ dive.R[dive.at(t_ns)].T) @ v + 0.003 * rng.standard_normal(4)
+def bottom(rng):
+    for t_ns in range(S, 60 * S, 500_000_000):
+        _, v = at(t_ns, SENSORS.adcp.lever_arm_m)
+        z = -(beam_directions(SENSORS.adcp.beam_angle_rad) @ DIVE.R[DIVE.at(t_ns)].T) @ v + 0.003 * rng.standard_normal(
+            4
+        )
         z += 0.5 * rng.choice([-1, 1], 4) * (rng.uniform(size=4) < 0.1)
         z[rng.uniform(size=4) < 0.1] = np.nan
         yield t_ns + 100_000_000, BottomTrack(t_ns=t_ns, range_m=0 * z + 30.0, beam_velocity_mps=z)
 
 
-def drifts(dive, inbox_of, aid=None):
+def drifts(aid=None):
     """Return horizontal error (m) and its deviation for each second, without the profiler, and the estimator."""
-    arriving = [(m.t_ns, i, m) for i, m in enumerate(dive.messages) if not isinstance(m, AdcpPing)]
+    arriving = [(m.t_ns, i, m) for i, m in enumerate(DIVE.messages) if not isinstance(m, AdcpPing)]
     if aid is not None:
-        arriving += [(t_ns, 10**6 + i, m) for i, (t_ns, m) in enumerate(aid(dive, np.random.default_rng(3)))]
-    estimator, errors = Estimator(SUITE, CONFIG), []
-    for _, _, message in sorted(arriving, key=lambda entry: entry[:2]):
-        for said in estimator.step(message.t_ns, inbox_of(message)):
-            if not isinstance(said, Estimate):
-                continue
-            if said.t_ns > 0 and said.t_ns % SECOND == 0:
-                assert (said.altitude_m is None) == (aid is not bottom or said.t_ns <= SECOND)
-                n, e = dive.position[dive.at(said.t_ns), :2]
-                error_m = math.hypot(said.north_m - n, said.east_m - e)
-                errors.append((error_m, math.sqrt(np.trace(said.covariance[:2, :2]))))
-    return errors, estimator
+        arriving += [(t_ns, 10**6 + i, m) for i, (t_ns, m) in enumerate(aid(np.random.default_rng(3)))]
+    run = Run((m for _, _, m in sorted(arriving, key=lambda entry: entry[:2])), SENSORS, CONFIG)
+    seconds = [estimate for t_ns, estimate in run.estimates.items() if t_ns > 0 and t_ns % S == 0]
+    assert all((e.altitude_m is None) == (aid is not bottom or e.t_ns <= S) for e in seconds)
+    errors = [(math.hypot(*error_of(e, DIVE)[:2]), math.sqrt(np.trace(e.covariance[:2, :2]))) for e in seconds]
+    return errors, run.estimator
 
 
-def test_each_sensor_bounds_the_drift_of_dead_reckoning(dive, inbox_of):
+def test_each_sensor_bounds_the_drift_of_dead_reckoning():
     """Dead reckoning is lost after 60 s; ranges and fixes bound the position, bottom track the velocity."""
-    alone, _ = drifts(dive, inbox_of)
+    alone, _ = drifts()
     assert alone[-1][1] > 12.0
     # sensor, what it brings, deviation at the end: the sea bed does not mend the 5 m that the satellites left
     for sensor, aid, sd_m in (("lbl", ranges, 1.5), ("usbl", fixes, 1.5), ("bottom_track", bottom, 5.2)):
-        errors, estimator = drifts(dive, inbox_of, aid)
+        errors, estimator = drifts(aid)
         assert max(deviation for _, deviation in errors[10:]) < sd_m, sensor
         assert all(error_m < 3.5 * deviation for error_m, deviation in errors), sensor
         account = estimator.account
@@ -121,7 +111,7 @@ def test_each_sensor_bounds_the_drift_of_dead_reckoning(dive, inbox_of):
 
 @pytest.mark.parametrize("fitted", [True, False])
 def test_a_message_of_a_sensor_that_is_not_fitted_is_counted_and_changes_nothing(fitted):
-    suite = SUITE if fitted else REALISTIC
+    suite = SENSORS if fitted else REALISTIC
     belief = Belief.blank(Layout.of(suite, CONFIG), 0)
     belief.P += 1e-2 * np.eye(len(belief.P))
     filter_ = ErrorStateFilter(suite, CONFIG, belief)
@@ -141,10 +131,8 @@ def first_fixes(transponders, drift_m, *, calls, seeds=100):
 
     Each seed draws where the vehicle really is, and the ranges that it hears.
     """
-    net = msgspec.structs.replace(
-        LBL, transponders_m=transponders, sound_speed_sd_mps=0.0, range_sd_m=1.0, lever_arm_m=(0.0, 0.0, 0.0)
-    )
-    suite = msgspec.structs.replace(SensorConfig.load("paper"), lbl=net)
+    net = {"transponders_m": transponders, "sound_speed_sd_mps": 0.0, "range_sd_m": 1.0, "lever_arm_m": (0.0, 0.0, 0.0)}
+    suite = with_settings(msgspec.structs.replace(PAPER, lbl=LBL), lbl=net)
     nees, gated, deviation = np.empty(seeds), 0, 0.0
     for seed in range(seeds):
         rng = np.random.default_rng(seed)

@@ -13,13 +13,27 @@ from ltv_mpc.currents import WaterPrior
 from ltv_mpc.localisation.pd0 import reader
 from ltv_mpc.localisation.pd0.beams import BeamEnsemble, to_beams
 from ltv_mpc.localisation.pd0.records import Settings
-from ltv_mpc.localisation.recorded_dive import noise, study
+from ltv_mpc.localisation.recorded_dive.bottom_track import (
+    MAX_GAP_S,
+    dead_reckon,
+    evaluate_track,
+    starts,
+    window_end,
+)
 from ltv_mpc.localisation.recorded_dive.filter import Track, run
-from ltv_mpc.localisation.recorded_dive.model import BIAS, HEAVE, HEAVE_SD_MPS, VELOCITY, Model
+from ltv_mpc.localisation.recorded_dive.model import (
+    BIAS,
+    HEAVE,
+    HEAVE_SD_MPS,
+    VELOCITY,
+    Batch,
+    Model,
+    beams,
+    correct,
+    over_ground,
+)
 from ltv_mpc.localisation.recorded_dive.parameters import DiveParameters
-from ltv_mpc.localisation.recorded_dive.screening import reach_m, usable
-from ltv_mpc.localisation.recorded_dive.truth import MAX_GAP_S, dead_reckon
-from ltv_mpc.localisation.recorded_dive.update import Batch, beams, correct, over_ground
+from ltv_mpc.localisation.recorded_dive.recording import BeamNoise, beam_sd, data_sheet_sd, reach_m, usable
 from tests.recorded.glider import Dive, World, dive
 
 PARAMETERS = DiveParameters()
@@ -31,8 +45,8 @@ def seen(made: Dive) -> list[BeamEnsemble]:
     return [to_beams(e) for e in reader.parse(made.data, source="test").ensembles]
 
 
-def noise_of(ensembles: list[BeamEnsemble]) -> noise.BeamNoise:
-    return noise.BeamNoise(ensembles, PARAMETERS.min_good_share)
+def noise_of(ensembles: list[BeamEnsemble]) -> BeamNoise:
+    return BeamNoise(ensembles, PARAMETERS.min_good_share)
 
 
 @cache
@@ -135,30 +149,14 @@ def test_the_recursion_is_the_batch_solution_of_the_same_linear_problem() -> Non
     np.testing.assert_allclose(P, left[-n:, -n:], atol=1e-8)
 
 
-def test_a_bias_keeps_its_ensemble_and_the_water_walks() -> None:
-    model = small_model()
-    x, P = model.prior()
-    before = P.copy()
-    for _ in range(50):
-        model.propagate(x, P, 20.0, 0.03)
-    biases = slice(BIAS, model.north.start)
-    np.testing.assert_allclose(P[biases, biases], before[biases, biases], atol=1e-12)
-    walked = np.diagonal(P[model.east, model.east] - before[model.east, model.east])
-    np.testing.assert_allclose(walked, PARAMETERS.water_change_mps_per_rts**2 * 1000.0)
-
-
-def some_batch(rng: np.random.Generator, model: Model) -> tuple[np.ndarray, np.ndarray, Batch]:
-    x, P = model.prior()
-    H = rng.standard_normal((8, model.size)) * (rng.random((8, model.size)) < 0.5)
-    variance = rng.uniform(0.001, 0.01, 8)
-    S = H @ P @ H.T + np.diag(variance)
-    return x, P, Batch(H, np.linalg.cholesky(S) @ rng.standard_normal(8), variance)
-
-
 def test_a_row_is_judged_by_what_prior_and_neighbours_say_of_it() -> None:
     """Predict each row from the belief after all others, by brute force."""
     model = small_model()
-    x, P, batch = some_batch(np.random.default_rng(1), model)
+    rng = np.random.default_rng(1)
+    x, P = model.prior()
+    H, variance = rng.standard_normal((8, model.size)) * (rng.random((8, model.size)) < 0.5), rng.uniform(1e-3, 1e-2, 8)
+    S = H @ P @ H.T + np.diag(variance)
+    batch = Batch(H, np.linalg.cholesky(S) @ rng.standard_normal(8), variance)
     _, nis = correct(x.copy(), P.copy(), batch, gate=1e9)
     for i in range(8):
         others = np.arange(8) != i
@@ -184,14 +182,6 @@ def test_outliers_are_taken_out_and_what_is_left_is_as_if_they_had_not_been_ther
     correct(y, Q, Batch(*(part[good] for part in batch)), gate=1e9)
     np.testing.assert_allclose(x, y, atol=1e-12)
     np.testing.assert_allclose(P, Q, atol=1e-12)
-
-
-def test_no_row_at_all_changes_nothing() -> None:
-    model = small_model()
-    x, P = model.prior()
-    accepted, nis = correct(x, P, Batch(np.zeros((0, model.size)), np.zeros(0), np.zeros(0)), gate=1.0)
-    assert len(accepted) == len(nis) == 0
-    np.testing.assert_array_equal(P, model.prior()[1])
 
 
 def calm_ensemble(rng: np.random.Generator, **more: object) -> BeamEnsemble:
@@ -251,7 +241,7 @@ def test_a_cell_is_the_mean_over_twice_its_length_not_the_water_at_its_middle() 
 def test_noise_is_found_under_bias_and_outliers_and_not_below_the_data_sheet() -> None:
     rng = np.random.default_rng(5)
     settings = setting(cells=5)
-    sheet = noise.data_sheet_sd(settings)
+    sheet = data_sheet_sd(settings)
     assert sheet == pytest.approx(0.0194 / math.sqrt(10))  # 600 kHz and 2 m: as 1200 kHz and 1 m
 
     def recorded(count: int) -> list[BeamEnsemble]:
@@ -265,32 +255,14 @@ def test_noise_is_found_under_bias_and_outliers_and_not_below_the_data_sheet() -
             made.append(calm_ensemble(rng, velocity_mps=z, good=np.ones((4, 5)), settings=settings))
         return made
 
-    sd = noise.beam_sd(recorded(1000), 0.5)
+    sd = beam_sd(recorded(1000), 0.5)
     np.testing.assert_allclose(sd[:3], 0.02, rtol=0.2)
     assert sd[3] == sheet  # quieter than it can be
     assert sd[4] == sd[3]  # too few samples: the cell before
-    few = noise.beam_sd(recorded(20), 0.5)
+    few = beam_sd(recorded(20), 0.5)
     np.testing.assert_allclose(few, 0.02, rtol=0.5)  # all cells together
     assert (few == few[0]).all()
-    assert (noise.beam_sd(recorded(2), 0.5) == 2 * sheet).all()
-
-
-@pytest.mark.parametrize("pitch_deg", [0.0, -26.0, 26.0])
-def test_the_bottoms_side_lobes_are_cut_off_and_little_else(pitch_deg: float) -> None:
-    """A flat bottom 20 m below: side lobes are in every beam beyond a slant range of 20 m."""
-    a, p = math.radians(30), math.radians(pitch_deg)
-    lying = np.array([[math.sin(a), 0, math.cos(a)], [-math.sin(a), 0, math.cos(a)]])
-    lying = np.vstack([lying, np.array([[0, math.sin(a), math.cos(a)], [0, -math.sin(a), math.cos(a)]])])
-    turned = np.array([[math.cos(p), 0, math.sin(p)], [0, 1, 0], [-math.sin(p), 0, math.cos(p)]])
-    u = lying @ turned.T
-    r = (2.94 + 2.0 * np.arange(40)) / math.cos(a)
-    echo = 110 - 1.5 * r + 45 * np.exp(-0.5 * ((r - 20 / u[:, 2:]) / 1.5) ** 2)
-    ensemble = calm_ensemble(np.random.default_rng(0), direction=u, echo=echo, range_m=r, settings=setting(cells=40))
-    flattest = u[:, 2].min()
-    reach = reach_m(ensemble)
-    assert 20 * flattest - 8 < reach <= 20 * flattest  # a pulse and the width of the echo are given away
-    silent = ensemble._replace(echo=np.tile(110 - 1.5 * r, (4, 1)))
-    assert reach_m(silent) == reach_m(ensemble._replace(echo=None)) == math.inf
+    assert (beam_sd(recorded(2), 0.5) == 2 * sheet).all()
 
 
 def test_the_reach_is_that_of_the_flattest_beam_less_a_cell() -> None:
@@ -306,6 +278,8 @@ def test_the_reach_is_that_of_the_flattest_beam_less_a_cell() -> None:
     echo[1, :] = 60.0  # sees no bottom to 22 m
     h = 4 * k / (3 / 16 + 1 / 22)
     assert reach_m(level) == pytest.approx(h * h / 22 - 2.0)
+    silent = level._replace(echo=np.full((4, 12), 60.0))
+    assert reach_m(silent) == reach_m(level._replace(echo=None)) == math.inf
 
 
 def test_bad_cells_are_left_out() -> None:
@@ -350,7 +324,7 @@ def test_there_is_no_truth_outside_bottom_track_nor_across_a_long_gap() -> None:
 def test_starts_are_every_second_ensemble_between_two_and_fourteen_metres() -> None:
     rng = np.random.default_rng(0)
     depths = [0.0, 1.9, 2.0, 5.0, 8.0, 11.0, 14.0, 14.1, 3.0]
-    assert study.starts([calm_ensemble(rng, depth_m=z) for z in depths]) == [2, 4, 6]
+    assert starts([calm_ensemble(rng, depth_m=z) for z in depths]) == [2, 4, 6]
 
 
 @pytest.mark.parametrize(("metres", "inside"), [(5.9, True), (6.1, False)])
@@ -359,8 +333,8 @@ def test_a_trial_is_graded_at_its_end_by_three_sigma_about_the_mean_of_its_fixes
     t = [10.0 * k for k in range(40)]
     made = grounded(t, [(0.3 if k == 6 else 0.1, 0.0) for k in range(40)])
     ground = dead_reckon(made)
-    assert study.window_end(ground, 5) == 35
-    assert study.window_end(ground, 10) is None
+    assert window_end(ground, 5) == 35
+    assert window_end(ground, 10) is None
     true = ground.displacement(5, 35)
     np.testing.assert_allclose(true, [30.0 + 2.0, 0.0], atol=1e-9)
     N = 31
@@ -369,7 +343,6 @@ def test_a_trial_is_graded_at_its_end_by_three_sigma_about_the_mean_of_its_fixes
         position_m=np.linspace(0, 1, N)[:, None] * (true + np.array([0.0, metres])),
         position_covariance=np.tile(np.diag([1.0, 4.0]), (N, 1, 1)),
         velocity_mps=np.zeros((N, 2)),
-        velocity_covariance=np.tile(np.eye(2), (N, 1, 1)),
         fixes=2,
         cells_used=0,
         cells_screened=0,
@@ -377,18 +350,13 @@ def test_a_trial_is_graded_at_its_end_by_three_sigma_about_the_mean_of_its_fixes
         nis=1.0,
         water=WaterPrior(depth_m=t, north_mps=t, east_mps=t, sd_mps=t, sd_common_mps=0.0),
     )
-    trial = study.evaluate_track(made, ground, track, start=5, end=35, offered_fixes=2)
+    trial = evaluate_track(made, ground, track, start=5, end=35, offered_fixes=2)
     assert trial.error_m == pytest.approx(metres)
     assert trial.sigma_m == pytest.approx(2.0)
     assert trial.inside_3_sigma == inside
     assert trial.after_s == pytest.approx(300.0)
     assert trial.constant_velocity_error_m == pytest.approx(0.2 * 300 - 32)
-    assert study.evaluate_track(made, ground, track, start=5, end=35, offered_fixes=0).constant_velocity_error_m is None
-
-
-def assert_same(one: Track, other: Track) -> None:
-    np.testing.assert_array_equal(one.position_m, other.position_m)
-    np.testing.assert_array_equal(one.position_covariance, other.position_covariance)
+    assert evaluate_track(made, ground, track, start=5, end=35, offered_fixes=0).constant_velocity_error_m is None
 
 
 def test_bottom_track_after_the_fixes_is_truth_and_never_reaches_the_filter() -> None:
@@ -397,7 +365,9 @@ def test_bottom_track_after_the_fixes_is_truth_and_never_reaches_the_filter() ->
     beam_noise = noise_of(ensembles)
     track = run(ensembles, beam_noise, PARAMETERS, fixes=10)
     blind = [e if k < 10 else e._replace(bottom_mps=np.full(3, np.nan)) for k, e in enumerate(ensembles)]
-    assert_same(track, run(blind, noise_of(blind), PARAMETERS, fixes=10))
+    other = run(blind, noise_of(blind), PARAMETERS, fixes=10)
+    np.testing.assert_array_equal(track.position_m, other.position_m)
+    np.testing.assert_array_equal(track.position_covariance, other.position_covariance)
     assert track.fixes == 10
     changed = [e if k != 9 else e._replace(bottom_mps=e.bottom_mps + 0.02) for k, e in enumerate(ensembles)]
     assert (run(changed, beam_noise, PARAMETERS, fixes=10).position_m[-1] != track.position_m[-1]).any()
@@ -431,7 +401,7 @@ def test_the_covariance_stays_symmetric_and_definite_and_the_profile_is_the_wate
 
 def test_on_synthetic_dives_half_the_errors_are_below_six_metres_and_consistent() -> None:
     """Sea and instrument have the errors of the parameters' sources; no number here was fitted."""
-    found = np.array([row for seed in range(8) for row in errors(World(), seed, (27.0, 60.0, 110.0))])
+    found = np.array([row for seed in range(6) for row in errors(World(), seed, (27.0, 60.0, 110.0))])
     error, normalised, held = found.T
     assert np.median(error) <= 6.0
     assert np.median(error) <= 0.6 * np.median(held)
@@ -474,13 +444,3 @@ def test_a_filter_that_believes_its_near_cells_goes_astray_where_they_err() -> N
     assert (kept[:, 1] <= 9.0).all()
     assert np.median(astray[:, 0]) > 1.5 * np.median(kept[:, 0])
     assert (astray[:, 1] > 9.0).sum() >= 2
-
-
-def test_position_is_the_integral_of_velocity() -> None:
-    made = dive(World(outliers=0.0), 6, duration=100.0)
-    ensembles = seen(made)
-    track = run(ensembles, noise_of(ensembles), PARAMETERS, fixes=1000)
-    true = made.position - made.position[0]
-    np.testing.assert_allclose(track.position_m, true, atol=1.0)
-    np.testing.assert_allclose(track.velocity_mps, made.velocity, atol=0.03)
-    assert track.t_s[-1] == pytest.approx(made.t[-1])

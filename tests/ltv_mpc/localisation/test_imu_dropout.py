@@ -1,50 +1,21 @@
 """Lost or late inertial samples: the covariance covers the gap, and measurements after it are used."""
 
-import msgspec
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
-from ltv_mpc.frames import roll_pitch_heading, rotation, wrap_angle
+from ltv_mpc.frames import roll_pitch_heading, rotation
 from ltv_mpc.localisation import imu_dropout
-from ltv_mpc.localisation.config import EstimatorConfig
-from ltv_mpc.localisation.estimator import Estimator
-from ltv_mpc.localisation.sensor_config import SensorConfig
-from ltv_mpc.messages import Estimate, FilterStatus, ImuSample, LocalisationReport
+from ltv_mpc.messages import FilterStatus, ImuSample
+from tests.ltv_mpc.localisation.dives import CONFIG, REALISTIC, Run, S, dive, normalised
 
-SUITE = SensorConfig.load("realistic")
-CONFIG = msgspec.structs.replace(EstimatorConfig(), deepest_m=60.0, kept_m=0.0)
-S = 1_000_000_000
+SHALLOW = replace(CONFIG, deepest_m=60.0, kept_m=0.0)
 CHI_SQUARE_5 = 28.5  # 3e-5
 
 
-@pytest.fixture(scope="module")
-def dive(make_dive):
-    """Roll and pitch of 1.5 deg rms with a period of 4 s: over a second the level is another."""
-    return make_dive(SUITE, 4, duration_s=17.0)
-
-
-def flown(messages, inbox_of):
-    estimator = Estimator(SUITE, CONFIG)
-    return estimator, [said for m in messages for said in estimator.step(m.t_ns, inbox_of(m))]
-
-
-def without(dive, gaps):
-    """Return the messages without the samples of the gaps (start, end], in seconds."""
-    lost = [(round(a * S), round(b * S)) for a, b in gaps]
-    return [m for m in dive.messages if not (isinstance(m, ImuSample) and any(a < m.t_ns <= b for a, b in lost))]
-
-
-def normalised(said, dive):
-    """Return the normalised squared errors of position, velocity and heading at each estimate."""
-    squares = []
-    for estimate in (one for one in said if isinstance(one, Estimate)):
-        k = dive.at(estimate.t_ns)
-        found = [estimate.north_m, estimate.east_m, estimate.velocity_north_mps, estimate.velocity_east_mps]
-        off = np.subtract(found, [*dive.position[k, :2], *dive.velocity[k, :2]])
-        heading = wrap_angle(estimate.heading_rad - roll_pitch_heading(dive.R[k])[2])
-        d, P = np.array([*off, heading]), estimate.covariance[:5, :5]
-        squares.append(d @ np.linalg.solve(P, d))
-    return squares
+def assert_nominal(run, of, from_ns=-S):
+    assert max(normalised(e, of) for t_ns, e in run.estimates.items() if t_ns > from_ns) < CHI_SQUARE_5
+    assert {report.status for report in run.reports.values()} == {FilterStatus.NOMINAL}
 
 
 @pytest.mark.parametrize(
@@ -56,24 +27,23 @@ def normalised(said, dive):
     ],
     ids=["delays", "silence", "slow"],
 )
-def test_the_truth_stays_within_the_covariance_and_no_sensor_is_reported(dive, inbox_of, gaps):
-    estimator, said = flown(without(dive, gaps), inbox_of)
-    assert estimator.account["imu.gap"] == len(gaps)
-    assert max(normalised(said, dive)) < CHI_SQUARE_5
-    reports = [one for one in said if isinstance(one, LocalisationReport)]
-    assert {report.status for report in reports} == {FilterStatus.NOMINAL}
-    assert said[-1].t_ns == 17 * S  # it goes on
+def test_the_truth_stays_within_the_covariance_and_no_sensor_is_reported(gaps):
+    """Roll and pitch of 1.5 deg rms with a period of 4 s: over a second the level is another."""
+    of = dive(REALISTIC, 4, duration_s=20.0)
+    lost = [(round(a * S), round(b * S)) for a, b in gaps]
+    kept = (m for m in of.messages if not (isinstance(m, ImuSample) and any(a < m.t_ns <= b for a, b in lost)))
+    run = Run(kept, config=SHALLOW)
+    assert run.estimator.account["imu.gap"] == len(gaps)
+    assert max(run.estimates) == 20 * S  # it continues
+    assert_nominal(run, of)
 
 
 @pytest.mark.parametrize(("seed", "silent_s"), [(20, 6.0), (27, 9.0)])
-def test_after_seconds_without_any_sensor_the_filter_is_levelled_and_continues(make_dive, inbox_of, seed, silent_s):
+def test_after_seconds_without_any_sensor_the_filter_is_levelled_and_continues(seed, silent_s):
     """Without levelling each of these is inconsistent within 6 s; the last is then 15 m further off."""
-    dive = make_dive(SUITE, seed, duration_s=silent_s + 14.0)
+    of = dive(REALISTIC, seed, duration_s=silent_s + 14.0)
     silent = range(4 * S + 1, round((4 + silent_s) * S) + 1)
-    _, said = flown([m for m in dive.messages if m.t_ns not in silent], inbox_of)
-    assert max(normalised([one for one in said if one.t_ns > 4 * S], dive)) < CHI_SQUARE_5
-    reports = [one for one in said if isinstance(one, LocalisationReport)]
-    assert {report.status for report in reports} == {FilterStatus.NOMINAL}
+    assert_nominal(Run((m for m in of.messages if m.t_ns not in silent), config=SHALLOW), of, 4 * S)
 
 
 def test_coasting_over_a_gap_is_the_same_in_one_part_and_in_two():
@@ -82,7 +52,7 @@ def test_coasting_over_a_gap_is_the_same_in_one_part_and_in_two():
         x, R = np.arange(20.0), rotation(0.1, 0.2, 0.3)
         Phi, Q = np.eye(15), np.diag(np.arange(1.0, 16.0))
         for seconds in cuts:
-            imu_dropout.coast(x, R, Phi, Q, seconds, 2.0, 0.1, SUITE.imu)
+            imu_dropout.coast(x, R, Phi, Q, seconds, 2.0, 0.1, REALISTIC.imu)
         ends.append((x, R, Phi, Q))
     for one, two in zip(*ends, strict=True):
         np.testing.assert_allclose(one, two, rtol=1e-12, atol=1e-12)
@@ -96,13 +66,7 @@ def test_coasting_over_a_gap_is_the_same_in_one_part_and_in_two():
 
 
 def test_a_sample_that_comes_a_little_early_leaves_no_gap():
-    sample = ImuSample(
-        t_ns=1_000_000_000, interval_ns=10_000_000, angular_rate_radps=(0.0,) * 3, specific_force_mps2=(0.0,) * 3
-    )
-    assert (
-        imu_dropout.gap_before_ns(sample, 990_000_000)
-        == imu_dropout.gap_before_ns(sample, 986_000_000)
-        == imu_dropout.gap_before_ns(sample, 995_000_000)
-        == 0
-    )
-    assert imu_dropout.gap_before_ns(sample, 980_000_000) == 10_000_000
+    nothing = (0.0, 0.0, 0.0)
+    sample = ImuSample(t_ns=S, interval_ns=10_000_000, angular_rate_radps=nothing, specific_force_mps2=nothing)
+    gaps = [imu_dropout.gap_before_ns(sample, S - before_ns) for before_ns in (10**7, 14 * 10**6, 5 * 10**6, 2 * 10**7)]
+    assert gaps == [0, 0, 0, 10_000_000]

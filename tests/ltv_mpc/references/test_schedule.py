@@ -44,9 +44,9 @@ def test_the_speed_of_a_bend_is_the_fastest_steady_turn_of_the_vehicle(radius_m)
 
     def circle(outer_N: float, inner_N: float) -> tuple[float, float]:
         u, v, psi, r = 0.1, 0.0, 0.0, 0.0
-        for _ in range(20_000):
+        for _ in range(3_000):
             _, _, du, dv, dpsi, dr = rates(u, v, psi, r, outer_N, inner_N, 0.0, 0.0, 0.0, 0.0, p)
-            u, v, psi, r = u + 0.01 * du, v + 0.01 * dv, psi + 0.01 * dpsi, r + 0.01 * dr
+            u, v, psi, r = u + 0.05 * du, v + 0.05 * dv, psi + 0.05 * dpsi, r + 0.05 * dr
         return math.hypot(u, v), math.hypot(u, v) / r
 
     # of the circles with the outer thruster at its share, the one of this radius

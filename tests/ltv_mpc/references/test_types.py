@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ltv_mpc import config, references
+from ltv_mpc import Estimate, config, references
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.references import Hold, Line, Place, Point, Reference, Spiral, Timed, Waypoints
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -114,6 +114,16 @@ def test_a_feasible_track_keeps_its_times_and_another_is_late_where_it_must_be()
     assert fast.schedule(PAPER).table[0] == pytest.approx([0.0, 10.0 + late, 60.0], abs=0.05)
     (note,) = fast.notes(PAPER)
     assert f"the first at t_s = 10; the latest by {late:.1f} s, the last by 0.0 s" in note
+
+
+@pytest.mark.parametrize(("first_s", "delay_s"), [(60.0, 0.0), (0.0, 15.4)])
+def test_a_track_begins_at_its_time_or_as_soon_as_the_vehicle_can_be_there(first_s, delay_s):
+    """The first row is 5 m away, 15.4 s from rest to rest."""
+    track = Timed(rows=((first_s, 0.0, 5.0), (first_s + 40.0, 6.0, 5.0)))
+    schedule = track.schedule(PAPER, Hold().anchor(Estimate.at_rest()))
+    time, way = schedule.table[:2]
+    assert (time[0], schedule.lead_m) == (0.0, 5.0)
+    assert np.interp([5.0, 11.0], way, time) == pytest.approx(first_s + delay_s + np.array([0.0, 40.0]), abs=0.1)
 
 
 def test_notes_name_what_is_not_feasible_and_nothing_else():

@@ -1,4 +1,4 @@
-"""Propulsive power against numbers computed by hand, and the open-water curve that the shipped files name."""
+"""Propellers: thrust and revolutions (eq 8), and power against numbers computed by hand and the open-water curve."""
 
 from __future__ import annotations
 
@@ -8,14 +8,31 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ltv_mpc.config import parse
-from ltv_mpc.errors import ConfigError
-from ltv_mpc.vehicle.parameters import Thruster, Vehicle
+from ltv_mpc.vehicle.parameters import Vehicle
 from ltv_mpc.vehicle.propulsion import propulsive_power_W, relative_power, shaft_power_W
-from ltv_mpc.vehicle.thruster import thrust
+from ltv_mpc.vehicle.thruster import revolutions, thrust
 
 PAPER = Vehicle.load("paper")  # d = 0.25 m, K_Q = 0.056 - 0.042 J, 1025 kg/m3
-RHO = 1025.0
+RHO, D = 1025.0, 0.25
+
+
+@given(st.floats(-62.5, 62.5), st.floats(-1.0, 1.0))
+def test_thrust_to_revolutions_and_back_is_the_same_thrust(F, inflow):
+    assert thrust(revolutions(F, inflow, RHO, D), inflow, RHO, D) == pytest.approx(F, rel=1e-9, abs=1e-9)
+
+
+def test_the_bilinear_form_has_its_coefficients():
+    # 0.4 x 1025 x 0.25^4 = 1.6016; (1/3) x 1025 x 0.25^3 = 5.3385
+    assert thrust(2.0, 0.0, RHO, D) == pytest.approx(1.601562 * 4, rel=1e-5)
+    assert thrust(2.0, 0.5, RHO, D) == pytest.approx(1.601562 * 4 - 5.338542 * 0.5 * 2, rel=1e-5)
+    assert thrust(-2.0, 0.5, RHO, D) == pytest.approx(-1.601562 * 4 - 5.338542 * 0.5 * 2, rel=1e-5)
+
+
+def test_a_small_thrust_against_the_inflow_needs_reverse_revolutions():
+    """With inflow from ahead two positive n give the same small negative thrust; the propeller reverses instead."""
+    assert revolutions(-0.5, 0.5, RHO, D) < 0.0
+    assert revolutions(0.5, 0.5, RHO, D) > 0.0
+    assert revolutions(0.0, 0.5, RHO, D) == 0.0
 
 
 @pytest.mark.parametrize(
@@ -64,13 +81,6 @@ def test_without_torque_coefficients_there_is_no_power() -> None:
     bare = msgspec.structs.replace(PAPER.thruster.port, torque_coefficient=None, torque_inflow_coefficient=None)
     vehicle = msgspec.structs.replace(PAPER, thruster=msgspec.structs.replace(PAPER.thruster, port=bare))
     assert propulsive_power_W(vehicle, np.zeros((1, 3)), np.zeros(1), np.zeros(1)) is None
-
-
-def test_one_torque_coefficient_without_the_other_is_refused() -> None:
-    table = msgspec.to_builtins(PAPER.thruster.port)
-    del table["torque_inflow_coefficient"]
-    with pytest.raises(ConfigError, match="give both, or leave both out"):
-        parse(table, Thruster, source="vehicle x.toml")
 
 
 def test_the_relative_power_is_one_at_full_thrust_and_grows_as_thrust_to_1_5() -> None:

@@ -8,6 +8,8 @@ import numpy as np
 
 from ltv_mpc import messages
 from services.bus.wire import Header
+from tests.ltv_mpc.reports import report
+from tests.services.words import running_clock, status
 
 HEADER = Header(epoch=2**48 - 1, sequence=7, sent_monotonic_us=123_456_789)
 TRIPLE = (0.1, -2.5e-17, 3.0)
@@ -72,20 +74,7 @@ EXAMPLES: tuple[messages.Message, ...] = (
         thrust_N=TRIPLE,
     ),
     messages.Disturbance(end_t_ns=10**9, thrust_scale=(0.5, 1.0, 0.0), force_N=TRIPLE, yaw_moment_Nm=-2.5),
-    messages.Applied(
-        t_ns=5,
-        thrust_N=TRIPLE,
-        command_N=TRIPLE,
-        command_slew_N_per_s=TRIPLE,
-        plan_epoch=0,
-        plan_sequence=-1,
-        plan_cycle_t_ns=0,
-        plan_received_t_ns=0,
-        plan_late=False,
-        plans_late=0,
-        plans_rejected=0,
-        why="autopilot disarmed; arm it",
-    ),
+    report(5, TRIPLE, command_slew_N_per_s=TRIPLE, why="autopilot disarmed; arm it"),
     messages.ImuSamples(
         samples=tuple(
             messages.ImuSample(t_ns=t_ns, interval_ns=10_000_000, angular_rate_radps=TRIPLE, specific_force_mps2=TRIPLE)
@@ -220,32 +209,11 @@ EXAMPLES: tuple[messages.Message, ...] = (
         why="starboard delivers 31 % less than it reports",
     ),
     messages.CycleTiming(t_ns=0, compute_ns=5, compute_wall_ns=5, estimate_age_ns=-3, stage_us={"solve": 41.5}),
-    messages.Clock(
-        clock_epoch=3,
-        clock_sequence=0,
-        host_boot_id="b",
-        at_monotonic_us=1,
-        vehicle_ns=-1_000_000_000,
-        speed_num=21,
-        speed_den=2,
-        requested_speed=10.5,
-        state=messages.ClockState.RUNNING,
-    ),
+    running_clock(1, vehicle_ns=-1_000_000_000),
     messages.ClockCommand(paused=True, speed=2.5),
     messages.ClockStep(t_ns=5, input="applied", publisher=2**48 - 1, step_ns=-5_000_000_000, certain=False),
     messages.Kill(node="estimator"),
-    messages.NodeStatus(
-        node="plant",
-        t_ns=0,
-        ready=True,
-        waiting_for="",
-        steps=1,
-        published=2,
-        received=3,
-        dropped=4,
-        rejected=5,
-        step_us=6.5,
-    ),
+    status("plant", steps=1, published=2, received=3, dropped=4, rejected=5, step_us=6.5),
     messages.NodeSettings(
         node="controller", files={"config/vehicle.toml": 'name = "otter"\n'}, made_by={"numpy": "2.0"}
     ),

@@ -24,57 +24,31 @@ def log(*messages: str, thread: int = 10) -> bytes:
     return "".join(f"{HEAD.format(thread=thread)}{message}\n" for message in messages).encode()
 
 
-def test_a_put_is_counted_and_what_is_worked_out_ahead_is_not() -> None:
-    denials = Denials()
-    denials.read(log(*CACHING))
-    assert denials.total == 0
-    denials.read(
-        log(
-            f"{WHO} Put (ingress) on ns/plan",
-            *["Using cached result: c0d0 is unauthorized to Put (ingress) on ns/plan"] * 3,
-        )
-    )
-    assert denials.kinds == {"estimator may not put on ns/plan": 4}
-    assert str(denials) == "estimator may not put on ns/plan (4)"
-
-
-def test_what_one_thread_works_out_hides_no_attempt_that_another_hears() -> None:
-    denials = Denials()
-    denials.read(log(CACHING[0], thread=9) + log(f"{WHO} Put (ingress) on ns/plan") + log(*CACHING[1:], thread=9))
-    assert denials.total == 1
-
-
-def test_what_is_allowed_and_what_is_not_sent_out_are_no_attempts() -> None:
-    denials = Denials()
-    denials.read(log("Using cached result: c0d0 is authorized to Put (ingress) on ns/estimate"))
-    denials.read(log("Using cached result: c0d0 is unauthorized to Put (egress) on ns/plan"))
-    assert denials.total == 0
+PUT = f"{WHO} Put (ingress) on ns/plan"
+CACHED = "Using cached result: c0d0 is"
+LINK = " WARN acc-0 ThreadId(05) zenoh_link_tls::unicast: {}. Hint: increase the system open file limit.\n"
+MAY_NOT = "estimator may not put on ns/plan"
+NO_ROLE = "a0b5 did not match any configured ACL subject. Default permission `Deny` will be applied on all messages"
 
 
 @pytest.mark.parametrize(
-    ("reason", "kind"),
+    ("lines", "kinds"),
     [
-        ("peer sent no certificates. Hint: increase the system open file limit.", "peer sent no certificates"),
-        (
-            "received fatal alert: DecryptError. Hint: increase the system open file limit.",
-            "received fatal alert: DecryptError",
-        ),
+        (log(*CACHING), {}),  # worked out ahead
+        (log(*CACHING, PUT, *[f"{CACHED} unauthorized to Put (ingress) on ns/plan"] * 3), {MAY_NOT: 4}),
+        (log(CACHING[0], thread=9) + log(PUT) + log(*CACHING[1:], thread=9), {MAY_NOT: 1}),  # another thread
+        (log(f"{CACHED} authorized to Put (ingress) on ns/estimate"), {}),
+        (log(f"{CACHED} unauthorized to Put (egress) on ns/plan"), {}),  # not sent out
+        (LINK.format("peer sent no certificates").encode(), {"connection: peer sent no certificates": 1}),
+        (LINK.format("tls handshake eof").encode(), {}),  # a look at the port
+        (log(NO_ROLE), {"connection: a certificate without a known role": 1}),
     ],
 )
-def test_a_refused_connection_is_counted_with_the_reason(reason: str, kind: str) -> None:
+def test_each_attempt_is_counted_once_by_its_kind(lines: bytes, kinds: dict[str, int]) -> None:
     denials = Denials()
-    denials.read(f" WARN acc-0 ThreadId(05) zenoh_link_tls::unicast: {reason}\n".encode())
-    assert denials.kinds == {f"connection: {kind}": 1}
-
-
-def test_a_look_at_the_port_is_no_attempt_and_a_certificate_of_no_role_is_one() -> None:
-    denials = Denials()
-    denials.read(b" WARN acc-0 ThreadId(05) zenoh_link_tls::unicast: tls handshake eof. Hint: increase it.\n")
-    assert denials.total == 0
-    denials.read(
-        log("a0b5 did not match any configured ACL subject. Default permission `Deny` will be applied on all messages")
-    )
-    assert denials.kinds == {"connection: a certificate without a known role": 1}
+    denials.read(lines)
+    assert denials.kinds == kinds
+    assert str(denials) == ", ".join(f"{kind} ({count})" for kind, count in denials.kinds.items())
 
 
 def test_lines_may_be_cut_anywhere() -> None:

@@ -181,9 +181,7 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.mark.parametrize(("line", "says"), CASES, ids=[line for line, _ in CASES])
-def test_bad_input_is_refused_in_one_line(
-    line: str, says: str, bench: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_bad_input_is_refused_in_one_line(line, says, bench, capsys) -> None:
     before = sorted(bench.rglob("*"))
     assert run(line.split()) == 2
     out, err = capsys.readouterr()

@@ -35,9 +35,7 @@ def imported(stderr: str) -> set[str]:
     return {name.partition(".")[0] for name in names}
 
 
-def test_shell_completion_knows_every_command_and_is_not_in_the_way_of_help(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_shell_completion_knows_every_command_and_is_not_in_the_way_of_help(capsys, monkeypatch) -> None:
     assert run(["doctor", "--help"]) == 0
     assert "completion" not in capsys.readouterr().out
     monkeypatch.setattr(shellingham, "detect_shell", lambda: ("bash", "/bin/bash"))  # whatever has started the tests
@@ -74,9 +72,7 @@ def test_an_option_wins_over_set_and_set_over_the_file(tmp_path: Path, monkeypat
     assert "perfect_state = true" in written
 
 
-def test_json_has_stdout_to_itself(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_json_has_stdout_to_itself(tmp_path, monkeypatch, capsys) -> None:
     monkeypatch.chdir(tmp_path)
     assert cli("sim descent --lockstep --duration-s 0.3 --json --perfect-state --out r") == 0
     assert json.loads(capsys.readouterr().out) == json.loads(Path("r/summary.json").read_text())
@@ -92,9 +88,7 @@ def test_a_run_s_scenario_runs_again_to_the_same_bytes(tmp_path: Path, monkeypat
     assert Path("b/run.mcap").read_bytes() == Path("elsewhere/run.mcap").read_bytes()
 
 
-def test_a_folder_that_is_not_empty_is_written_into_with_force_only(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_folder_that_is_not_empty_is_written_into_with_force_only(tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     Path("r").mkdir()
     Path("r/mine.txt").write_text("keep")
@@ -105,13 +99,7 @@ def test_a_folder_that_is_not_empty_is_written_into_with_force_only(
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 1)])
-def test_an_interrupted_lock_step_exits_with_its_code_and_a_readable_recording(
-    number: signal.Signals,
-    code: int,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_an_interrupted_lock_step_has_its_code_and_a_readable_recording(number, code, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     recording = tmp_path / "r" / "run.mcap"
     ended = threading.Event()
@@ -137,9 +125,7 @@ def test_an_interrupted_lock_step_exits_with_its_code_and_a_readable_recording(
 
 
 @pytest.mark.parametrize("mode", ["", "--lockstep"])
-def test_a_disk_without_room_for_the_run_is_refused_before_its_folder_is_made(
-    mode: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_disk_without_room_for_the_run_is_refused_before_its_folder_is_made(mode, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=10**6))
     assert cli(f"sim descent {mode} --duration-s 99 --out below/r") == 1
@@ -147,18 +133,14 @@ def test_a_disk_without_room_for_the_run_is_refused_before_its_folder_is_made(
     assert not Path("below").exists()
 
 
-def test_a_disk_that_is_full_ends_a_run_in_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_disk_that_is_full_ends_a_run_in_one_line(tmp_path, monkeypatch, capsys) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(RunFolder, "recording", Path("/dev/full"))
     assert cli("sim descent --lockstep --duration-s 20 --perfect-state --out r") == 1
     assert os.strerror(errno.ENOSPC) in capsys.readouterr().err.splitlines()[-1]
 
 
-def test_the_recorder_continues_its_own_folder_and_rejects_one_that_is_not_empty(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_recorder_continues_its_own_folder_and_rejects_one_that_is_not_empty(tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     taken: list[Path] = []
 

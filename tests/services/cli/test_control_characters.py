@@ -7,7 +7,6 @@ import io
 import json
 import subprocess
 import sys
-from pathlib import Path
 
 import msgspec
 import pytest
@@ -42,9 +41,7 @@ def is_safe(text: str) -> bool:
         ["certs", "new", "{folder}/certs"],
     ],
 )
-def test_a_command_prints_no_control_character(
-    line: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_command_prints_no_control_character(line, tmp_path, capsys) -> None:
     folder = tmp_path / HOSTILE.replace("\ud800", "\udcff")  # a byte that is no UTF-8
     folder.mkdir()
     (folder / "scenario.toml").write_text('"a\\u001b[2J\\u009b" = 1\n')
@@ -79,9 +76,7 @@ def test_a_process_prints_no_control_character_but_its_own(as_json: bool) -> Non
 
 
 @pytest.mark.parametrize("plain", [False, True])
-def test_a_screen_shows_no_control_character_and_no_markup_of_a_message(
-    plain: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_screen_shows_no_control_character_and_no_markup_of_a_message(plain, monkeypatch) -> None:
     view = dataclasses.replace(
         FULL,
         phase=HOSTILE,

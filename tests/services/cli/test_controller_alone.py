@@ -32,17 +32,7 @@ def started(monkeypatch: pytest.MonkeyPatch) -> list[controller.Config]:
 def test_rate_and_horizon_are_those_of_the_options_and_the_rest_of_the_file(tmp_path, started) -> None:
     settings = tmp_path / "settings.toml"
     settings.write_text("horizon_s = 3.0\nmax_iterations = 77\n")
-    words = [
-        "controller",
-        "--settings",
-        str(settings),
-        "--rate-hz",
-        "5",
-        "--metrics",
-        "9464",
-        "--input-delay-s",
-        "0.05",
-    ]
+    words = f"controller --settings {settings} --rate-hz 5 --metrics 9464 --input-delay-s 0.05".split()
     assert run(words) == 0
     assert run([*words, "--horizon-s", "6"]) == 0
     first, second = (config.settings for config in started)
@@ -82,24 +72,8 @@ def test_a_port_that_is_taken_is_said_and_nothing_is_started(capsys, monkeypatch
 def test_it_names_every_key_in_its_namespace_with_rate_and_fields() -> None:
     lines = list(controller.announcement(BusOptions(namespace="auv/7"), msgspec.structs.replace(SETTLED, period_s=0.2)))
     told = {line.split()[1]: line for line in lines if line.startswith(("reads", "writes"))}
-    assert set(told) == {
-        f"auv/7/{key}"
-        for key in (
-            "estimate",
-            "applied",
-            "command",
-            "manual",
-            "heartbeat",
-            "battery",
-            "leak",
-            "obstacles",
-            "plan",
-            "fence",
-            "acknowledged",
-            "model",
-            "controller/status",
-        )
-    }
+    keys = "estimate, applied, command, manual, heartbeat, battery, leak, obstacles, plan, fence, acknowledged, model"
+    assert set(told) == {f"auv/7/{key}" for key in (*keys.split(", "), "controller/status")}
     estimate = told["auv/7/estimate"]
     assert estimate.startswith("reads")
     assert " 10 /s " in estimate

@@ -2,38 +2,34 @@
 
 from __future__ import annotations
 
-import signal
-import subprocess
-import sys
+import itertools
 import threading
 import time
 import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-import msgspec
 import pytest
+from msgspec.structs import replace
 
 from ltv_mpc import config, references
 from ltv_mpc.geofence.fence import Disc, Fence
-from ltv_mpc.messages import Authority, ControllerStatus, Estimate, Plan, RunEvent
+from ltv_mpc.messages import Authority, ControllerStatus, Estimate, Message, Plan, RunEvent
 from ltv_mpc.references.geodesy import Origin, Place
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.latest_cache import LatestCache
 from services.bus.mailbox import Mailbox
 from services.bus.options import BusOptions
-from services.bus.outbox import Outbox
 from services.bus.session import open_session
 from services.bus.topics import BY_TYPE
 from services.bus.wire import Header, decode, encode
 from services.cli.app import run
 from services.runtime.stopping import StopRequest
 from services.supervisor import loopback
+from tests.system.alone import controller
 from tests.waiting import PATIENCE_S, until
-
-FILES = Path(references.__file__).parent / "files"
 
 
 class Alone(NamedTuple):
@@ -45,66 +41,55 @@ class Alone(NamedTuple):
     def ctl(self, *words: str) -> int:
         return run(["ctl", *words, "--connect", self.endpoint, "--namespace", "boat"])
 
-    def plan(self) -> Plan | None:
-        found = self.newest.get(BY_TYPE[Plan].key)
-        return None if found is None else decode(Plan, found.payload)[0]
+    def newest_of(self, kind: type[Message]) -> Any:
+        found = self.newest.get(BY_TYPE[kind].key)
+        return None if found is None else decode(kind, found.payload)[0]
+
+    def plan(self) -> Any:
+        return self.newest_of(Plan)
 
 
 @contextmanager
-def controller(endpoint: str, log: Path) -> Iterator[None]:
-    words = [sys.executable, "-P", "-m", "services.cli", "controller", "--reference", "hover"]
-    with log.open("wb") as sink:
-        process = subprocess.Popen([*words, "--connect", endpoint, "--namespace", "boat"], stderr=sink)
-    try:
-        until(lambda: b"waiting for" in log.read_bytes())
-        yield
-        process.send_signal(signal.SIGTERM)
-        assert process.wait(60) == 0
-    finally:
-        if process.poll() is None:
-            process.kill()
-        process.wait()
-
-
-@pytest.fixture(scope="module")
-def without_estimates(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Alone]:
-    endpoint = f"tcp/127.0.0.1:{loopback.free_port()}"
-    log = tmp_path_factory.mktemp("controller") / "stderr"
-    newest = LatestCache()
-    options = BusOptions(connect=(endpoint,), namespace="boat")
-    with (
-        open_session(BusOptions(listen=(endpoint,)), stop=StopRequest(), say=print),
-        controller(endpoint, log),
-        open_session(options, stop=StopRequest(), say=print) as session,
-    ):
-        session.subscribe(BY_TYPE[Plan].key, BY_TYPE[Plan], newest)
-        yield Alone(endpoint, newest)
-
-
-@pytest.fixture(scope="module")
-def alone(without_estimates: Alone) -> Iterator[Alone]:
-    here, ended = without_estimates, threading.Event()
-    options = BusOptions(connect=(here.endpoint,), namespace="boat")
-    with open_session(options, stop=StopRequest(), say=print) as session:
-        out = Outbox(session, node="navigation", epoch=1, kinds=(Estimate,))
+def published(endpoint: str, key: str, north_m: float, epoch: int) -> Iterator[None]:
+    """Publish an estimate ten times a second under a key."""
+    ended = threading.Event()
+    with open_session(BusOptions(connect=(endpoint,), namespace="boat"), stop=StopRequest(), say=print) as session:
+        put = session.publisher(key).put
 
         def speak() -> None:
-            while not ended.wait(0.1):
-                out.publish(msgspec.structs.replace(Estimate.at_rest(north_m=1.0, depth_m=0.0), t_ns=time.time_ns()))
+            for sequence in itertools.count():
+                estimate = replace(Estimate.at_rest(north_m=north_m, depth_m=0.0), t_ns=time.time_ns())
+                put(encode(estimate, Header(epoch=epoch, sequence=sequence)))
+                if ended.wait(0.1):
+                    return
 
         speaker = threading.Thread(target=speak)
         speaker.start()
         try:
-            until(lambda: here.plan() is not None)
-            yield here
+            yield
         finally:
             ended.set()
             speaker.join()
 
 
-def test_stop_is_accepted_before_the_first_estimate_and_arm_is_not(
-    without_estimates: Alone, capsys: pytest.CaptureFixture[str]
-) -> None:
+@pytest.fixture(scope="module")
+def without_estimates() -> Iterator[Alone]:
+    with controller(loopback.free_port(), ("--reference", "hover", "--namespace", "boat")) as (endpoint, _):
+        newest, options = LatestCache(), BusOptions(connect=(endpoint,), namespace="boat")
+        with open_session(options, stop=StopRequest(), say=print) as session:
+            for kind in (Plan, ControllerStatus):
+                session.subscribe(BY_TYPE[kind].key, BY_TYPE[kind], newest)
+            yield Alone(endpoint, newest)
+
+
+@pytest.fixture(scope="module")
+def alone(without_estimates: Alone) -> Iterator[Alone]:
+    with published(without_estimates.endpoint, "estimate", 1.0, epoch=1):
+        until(lambda: without_estimates.newest_of(Plan) is not None)
+        yield without_estimates
+
+
+def test_stop_is_accepted_before_the_first_estimate_and_arm_is_not(without_estimates, capsys) -> None:
     assert without_estimates.plan() is None
     assert without_estimates.ctl("stop") == 0
     assert "command authority: stopped" in capsys.readouterr().out
@@ -113,9 +98,7 @@ def test_stop_is_accepted_before_the_first_estimate_and_arm_is_not(
     assert without_estimates.ctl("stop") == 0
 
 
-def test_a_watch_of_commands_is_accepted_or_refused_as_the_plan_says(
-    alone: Alone, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_watch_of_commands_is_accepted_or_refused_as_the_plan_says(alone, tmp_path, capsys) -> None:
     assert alone.ctl("stop") == 0
     until(lambda: alone.plan().authority is Authority.STOPPED)
     assert alone.ctl("arm") == alone.ctl("disarm") == 0
@@ -149,9 +132,7 @@ def test_a_watch_of_commands_is_accepted_or_refused_as_the_plan_says(
 
 
 @pytest.mark.parametrize("name", ["fence.toml", "fence.geojson"])
-def test_a_fence_is_in_force_until_another_one_or_none_is_sent(
-    alone: Alone, tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
-) -> None:
+def test_a_fence_is_in_force_until_another_one_or_none_is_sent(alone, tmp_path, capsys, name) -> None:
     buoy = Disc(name="buoy", centre=Place(north_m=51.0, east_m=0.0), radius_m=3.0)
     origin = Origin(latitude_deg=50.0, longitude_deg=-5.0)
     Fence(margin_m=2.0, origin=origin, keep_out_disc=(buoy,)).save(str(tmp_path / name))
@@ -170,9 +151,7 @@ def test_a_fence_is_in_force_until_another_one_or_none_is_sent(
     until(lambda: alone.plan().fence is None)
 
 
-def test_arm_is_refused_by_a_pre_arm_check_and_forced_with_what_it_skips(
-    alone: Alone, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_arm_is_refused_by_a_pre_arm_check_and_forced_with_what_it_skips(alone, tmp_path, capsys) -> None:
     far = tmp_path / "far.toml"
     far.write_text('kind = "point"\nnorth_m = 9000.0\neast_m = 0.0\n')
     assert alone.ctl("stop") == alone.ctl("follow", str(far)) == 0
@@ -185,46 +164,32 @@ def test_arm_is_refused_by_a_pre_arm_check_and_forced_with_what_it_skips(
     assert alone.ctl("follow", "hover") == alone.ctl("disarm") == 0
 
 
-def test_another_source_is_used_when_it_is_named_and_both_are_in_the_status(
-    alone: Alone, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_another_source_is_used_when_it_is_named_and_both_are_in_the_status(alone, capsys) -> None:
     """The other one, 40 m away, publishes on a key of its own."""
     assert alone.ctl("source", "gnss") == 1
     assert "no valid message of source gnss in the last 10 s; sources: default" in capsys.readouterr().err
-    newest, events, ended = LatestCache(), Mailbox(), threading.Event()
+    events = Mailbox()
     options = BusOptions(connect=(alone.endpoint,), namespace="boat")
-    with open_session(options, stop=StopRequest(), say=print) as session:
-        session.subscribe("controller/status", BY_TYPE[ControllerStatus], newest)
+
+    def source() -> str:
+        status = alone.newest_of(ControllerStatus)
+        return "" if status is None else str(status.source)
+
+    with (
+        open_session(options, stop=StopRequest(), say=print) as session,
+        published(alone.endpoint, "estimate/gnss", 41.0, epoch=2),
+    ):
         session.subscribe("event/controller", BY_TYPE[RunEvent], events)
-        put = session.publisher("estimate/gnss").put
-
-        def source() -> str:
-            found = newest.get("controller/status")
-            return "" if found is None else decode(ControllerStatus, found.payload)[0].source
-
-        def publish() -> None:
-            sequence = 0
-            while not ended.wait(0.1):
-                estimate = msgspec.structs.replace(Estimate.at_rest(north_m=41.0, depth_m=0.0), t_ns=time.time_ns())
-                put(encode(estimate, Header(epoch=2, sequence=sequence)))
-                sequence += 1
-
-        publisher = threading.Thread(target=publish)
-        publisher.start()
-        try:
-            until(lambda: source() == "default")
-            until(lambda: alone.ctl("source", "gnss") == 0)
-            until(lambda: source() == "gnss")
-            frame = events.take(PATIENCE_S)
-            assert frame is not None
-            text = decode(RunEvent, frame.payload)[0].text
-            assert text == "source of the estimates: default, epoch 1 -> gnss, epoch 2"
-            assert alone.ctl("source", "default") == 0
-            until(lambda: source() == "default")
-            assert alone.ctl("source") == 0
-        finally:
-            ended.set()
-            publisher.join()
+        until(lambda: source() == "default")
+        until(lambda: alone.ctl("source", "gnss") == 0)
+        until(lambda: source() == "gnss")
+        frame = events.take(PATIENCE_S)
+        assert frame is not None
+        text = decode(RunEvent, frame.payload)[0].text
+        assert text == "source of the estimates: default, epoch 1 -> gnss, epoch 2"
+        assert alone.ctl("source", "default") == 0
+        until(lambda: source() == "default")
+        assert alone.ctl("source") == 0
 
 
 def test_where_nobody_answers_it_says_so_and_exits_1(alone: Alone, capsys: pytest.CaptureFixture[str]) -> None:
@@ -234,16 +199,11 @@ def test_where_nobody_answers_it_says_so_and_exits_1(alone: Alone, capsys: pytes
     assert "no router within 3 s" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("name", sorted(path.stem for path in FILES.glob("*.toml")))
-def test_a_reference_that_travels_is_the_one_that_was_loaded(name: str) -> None:
-    loaded = references.load(name)
-    assert config.parse(tomllib.loads(config.to_toml(loaded)), references.Reference, source="reference") == loaded
-
-
-def test_a_track_in_a_csv_travels_with_its_rows(tmp_path: Path) -> None:
+def test_a_reference_that_travels_is_the_one_that_was_loaded(tmp_path):
     (tmp_path / "track.csv").write_text("t_s,north_m,east_m\n0,0,0\n10,1,2.5\n")
     (tmp_path / "track.toml").write_text('kind = "timed"\nfile = "track.csv"\n')
-    loaded = references.load(str(tmp_path / "track.toml"))
-    sent = config.parse(tomllib.loads(config.to_toml(loaded)), references.Reference, source="reference")
-    assert sent == loaded
-    assert sent.rows == ((0.0, 0.0, 0.0), (10.0, 1.0, 2.5))
+    files = Path(references.__file__).parent / "files"
+    for name in (str(tmp_path / "track.toml"), *(path.stem for path in files.glob("*.toml"))):
+        loaded = references.load(name)
+        sent = config.parse(tomllib.loads(config.to_toml(loaded)), references.Reference, source="reference")
+        assert sent == loaded

@@ -27,9 +27,7 @@ def cut(folder: Path) -> None:
     path.write_bytes(path.read_bytes()[:-300])
 
 
-def test_info_of_a_whole_run_is_exit_0_and_of_a_cut_one_exit_1(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_info_of_a_whole_run_is_exit_0_and_of_a_cut_one_exit_1(folder, capsys) -> None:
     assert run(["log", "info", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert (found["messages"], found["whole"]) == (500, True)
@@ -51,9 +49,7 @@ def test_recover_writes_beside_and_a_whole_run_needs_none(folder: Path, capsys: 
     assert "exists: name another with --out" in capsys.readouterr().err
 
 
-def test_export_writes_one_folder_and_rejects_one_that_is_not_empty(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_export_writes_one_folder_and_rejects_one_that_is_not_empty(folder, capsys) -> None:
     before = (folder / "run.mcap").read_bytes()
     assert run(["log", "export"]) == 0
     assert capsys.readouterr().out.splitlines()[-1] == str(Path("runs") / folder.name / "csv")

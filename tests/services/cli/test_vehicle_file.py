@@ -39,9 +39,7 @@ def test_an_existing_file_is_not_replaced_without_force(here: Path, capsys: pyte
     assert (here / "mine.toml").read_text() != "precious"
 
 
-def test_check_warns_of_a_vehicle_whose_drag_is_faster_than_a_stage(
-    here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_check_warns_of_a_vehicle_whose_drag_is_faster_than_a_stage(here, capsys) -> None:
     """1.5 kg with the drag of 500 kg: its linearised stages overflow."""
     (here / "light.toml").write_text(PAPER.replace("\nmass_kg = 500.0", "\nmass_kg = 1.5"))
     assert run(["vehicle", "check", "light.toml"]) == 0
@@ -94,9 +92,7 @@ def test_identify_recovers_the_vehicle_of_a_run(here: Path, capsys: pytest.Captu
     assert "mass_surge" in capsys.readouterr().out
 
 
-def test_check_says_what_of_a_mission_cannot_be_and_exits_with_1(
-    here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_check_says_what_of_a_mission_cannot_be_and_exits_with_1(here, capsys) -> None:
     (here / "fence.toml").write_text(
         'margin_m = 1.0\n[[keep_out_disc]]\nname = "buoy"\ncentre = { north_m = 0.0, east_m = 0.0 }\nradius_m = 3.0\n'
     )
@@ -123,28 +119,24 @@ def test_check_says_what_of_a_mission_cannot_be_and_exits_with_1(
     assert "option --fence: needs --reference" in capsys.readouterr().err
 
 
-def test_check_of_here_asks_for_the_start(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_check_takes_the_start_of_the_vehicle_and_asks_for_it_here(here, capsys):
     (here / "fence.toml").write_text(
         "margin_m = 1.0\n[[keep_out_disc]]\ncentre = { north_m = 0.0, east_m = 0.0 }\nradius_m = 3.0\n"
     )
-    check = ["vehicle", "check", "paper", "--reference", "descent", "--fence", "fence.toml"]
-    assert run([*check, "--json"]) == 1
-    (problem,) = json.loads(capsys.readouterr().out)["mission"]["problems"]
-    assert problem.startswith("--fence is not checked")
-    assert run([*check, "--start", "20,0"]) == 0
-    assert "no problems" in capsys.readouterr().out
-
-
-def test_check_takes_the_start_of_the_vehicle(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (here / "fence.toml").write_text(
-        "margin_m = 1.0\n[[keep_out_disc]]\ncentre = { north_m = 0.0, east_m = 0.0 }\nradius_m = 3.0\n"
-    )
-    point = ["vehicle", "check", "paper", "--reference", "point.toml", "--fence", "fence.toml", "--start"]
     (here / "point.toml").write_text('kind = "point"\nnorth_m = 20.0\neast_m = -1.0\n')
-    assert run([*point, "1,-2.5"]) == 1
-    assert "the start is not allowed: hull 1.36 m beyond the boundary of keep_out_disc[0]" in capsys.readouterr().out
-    assert run([*point, "-20,1"]) == 0
-    assert "note: the way from the start leads round the zones: 4" in capsys.readouterr().out
+    check = ["vehicle", "check", "paper", "--fence", "fence.toml", "--reference"]
+    for words, code, said in (
+        (["descent"], 1, "--fence is not checked"),
+        (["descent", "--start", "20,0"], 0, "no problems"),
+        (
+            ["point.toml", "--start", "1,-2.5"],
+            1,
+            "the start is not allowed: hull 1.36 m beyond the boundary of keep_out",
+        ),
+        (["point.toml", "--start", "-20,1"], 0, "note: the way from the start leads round the zones: 4"),
+    ):
+        assert run([*check, *words]) == code
+        assert said in " ".join(capsys.readouterr().out.split())
     for text in ("3", "1,2,3", "1,nan", "1,1e9", "north,east"):
-        assert run([*point, text]) == 2
+        assert run([*check, "descent", "--start", text]) == 2
         assert f'option --start: "{text}": must be NORTH,EAST in metres' in capsys.readouterr().err.replace(" = ", ": ")

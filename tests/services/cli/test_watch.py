@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-import time
 from unittest.mock import Mock
 
-import msgspec
+import pytest
+from msgspec.structs import replace
 
 from ltv_mpc.messages import Estimate, NodeStatus
 from services.bus.options import BusOptions
@@ -18,8 +16,7 @@ from services.supervisor import loopback
 from services.supervisor.bus_monitor import Activity, BusMonitor
 from services.tools import watch
 from tests.services.words import status
-
-PATIENCE_S = 60.0
+from tests.system.alone import CLI, started
 
 
 def test_a_process_that_no_longer_publishes_is_named_silent() -> None:
@@ -39,41 +36,26 @@ def test_silence_has_its_duration_and_no_message_is_no_silence() -> None:
     assert watch.silence(monitor, 160.0) == "no message yet"
 
 
-def test_processes_in_another_namespace_are_named() -> None:
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [((), "add --namespace fleet/boat"), (("--namespace", "fleet/boat"), "t 81.3 s  ")],
+    ids=["another namespace is named", "a vehicle without clock is shown by its estimates"],
+)
+def test_it_shows_what_a_bus_carries(options: tuple[str, ...], said: str) -> None:
     endpoint = f"tcp/127.0.0.1:{loopback.free_port()}"
     listening = BusOptions(listen=(endpoint,), namespace="fleet/boat")
-    line = [sys.executable, "-P", "-m", "services.cli", "watch", "--connect", endpoint]
-    with open_session(listening, stop=StopRequest(), say=print) as session:
-        statuses = Outbox(session, node="estimator", epoch=1, kinds=(NodeStatus,))
-        with subprocess.Popen(line, stderr=subprocess.PIPE, text=True) as watching:
-            assert watching.stderr is not None
-            until = time.monotonic() + PATIENCE_S
-            try:
-                assert "no message yet" in watching.stderr.readline()  # it listens
-                text = ""
-                while "add --namespace fleet/boat" not in text:
-                    assert time.monotonic() < until
-                    statuses.publish(status("estimator"))
-                    text = watching.stderr.readline()
-            finally:
-                watching.terminate()
+    estimate = replace(Estimate.at_rest(depth_m=7.25), t_ns=81_300_000_000)
+    with (
+        open_session(listening, stop=StopRequest(), say=print) as session,
+        started(*CLI, "watch", "--connect", endpoint, *options) as (_, watching),
+    ):
+        outbox = Outbox(session, node="estimator", epoch=1, kinds=(NodeStatus, Estimate))
+        watching.until(lambda line: "no message yet" in line)  # it listens
 
+        def is_said(line: str) -> bool:
+            for message in (status("estimator"), estimate):
+                outbox.publish(message)
+            return said in line
 
-def test_a_vehicle_without_clock_is_shown_by_its_estimates() -> None:
-    endpoint = f"tcp/127.0.0.1:{loopback.free_port()}"
-    listening = BusOptions(listen=(endpoint,), namespace="boat")
-    line = [sys.executable, "-P", "-m", "services.cli", "watch", "--connect", endpoint, "--namespace", "boat"]
-    with open_session(listening, stop=StopRequest(), say=print) as session:
-        estimates = Outbox(session, node="estimator", epoch=1, kinds=(Estimate,))
-        with subprocess.Popen(line, stderr=subprocess.PIPE, text=True) as watching:
-            assert watching.stderr is not None
-            until = time.monotonic() + PATIENCE_S
-            text = ""
-            try:
-                while "depth 7.2 m" not in text:
-                    assert time.monotonic() < until
-                    estimates.publish(msgspec.structs.replace(Estimate.at_rest(depth_m=7.25), t_ns=81_300_000_000))
-                    text = watching.stderr.readline()
-                assert "t 81.3 s  " in text
-            finally:
-                watching.terminate()
+        shown = watching.until(is_said)
+    assert "depth 7.2 m" in shown or not options

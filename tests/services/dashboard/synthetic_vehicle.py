@@ -5,7 +5,8 @@ from __future__ import annotations
 import tempfile
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -19,19 +20,12 @@ from ltv_mpc.messages import (
     ClockState,
     Command,
     Disturbance,
-    Estimate,
-    FenceInForce,
     Heartbeat,
     Kill,
-    LocalisationReport,
     Message,
-    NodeStatus,
-    Plan,
-    Truth,
 )
 from services.bus.mailbox import Mailbox
 from services.bus.options import BusOptions
-from services.bus.outbox import Outbox
 from services.bus.session import Session, open_session
 from services.bus.topics import BY_TYPE
 from services.bus.wire import decode
@@ -42,13 +36,12 @@ from services.dashboard.config import About, View
 from services.recording.node_settings import vehicle_of
 from services.runtime.clock import fraction_of, monotonic_us
 from tests.services.reporting import synthetic_run
-from tests.services.reporting.synthetic_run import EPOCH, S
+from tests.services.reporting.synthetic_run import EPOCH, NODES, S
 from tests.services.words import status
 from tests.waiting import until
 
 K = TypeVar("K", bound=Message)
 
-NODES = ("plant", "sensors", "estimator", "controller", "recorder")
 SPEED = 10
 
 
@@ -63,17 +56,7 @@ class SyntheticVehicle:
         self._box = Mailbox()
         for kind in (Command, ClockCommand, Disturbance, Heartbeat, Kill):
             session.subscribe(BY_TYPE[kind].key, BY_TYPE[kind], self._box)
-        self._out = {
-            node: Outbox(session, node=node, epoch=EPOCH, kinds=kinds)
-            for node, kinds in (
-                ("plant", (Truth, Clock, type(synthetic_run.applied(0)), type(synthetic_run.EVENT), NodeStatus)),
-                ("estimator", (Estimate, LocalisationReport, NodeStatus)),
-                ("controller", (Plan, FenceInForce, type(synthetic_run.timing(0)), Acknowledgement, NodeStatus)),
-                ("operator", (Command,)),
-                ("sensors", (NodeStatus,)),
-                ("recorder", (NodeStatus,)),
-            )
-        }
+        self._out = synthetic_run.outboxes(session)
         self._clock = synthetic_run.clock(-S)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._go, daemon=True)
@@ -153,19 +136,17 @@ class SyntheticVehicle:
                 self.publish("controller", answer)
 
 
-class Page:
-    """Running page of a bus feed."""
+@dataclass
+class Served:
+    """Running page of a bus feed, and the vehicle behind it if it has one."""
 
-    def __init__(
-        self, feed: BusFeed, token: str, port: int, server: uvicorn.Server, views: list[View], report: Path
-    ) -> None:
-        self.views = views
-        self.report = report
-        """File of the run's report; missing until a test writes it."""
-        self.feed = feed
-        self.token = token
-        self.port = port
-        self.server = server
+    feed: BusFeed
+    token: str
+    port: int
+    server: uvicorn.Server
+    views: list[View]
+    report: Path  # file of the run's report; missing until a test writes it
+    vehicle: SyntheticVehicle = field(init=False)
 
     @property
     def host(self) -> str:
@@ -182,16 +163,8 @@ class Page:
             one.loop.call_soon_threadsafe(one.transport.abort)
 
 
-class Served(Page):
-    """Running page and the vehicle behind it."""
-
-    def __init__(self, shown: Page, vehicle: SyntheticVehicle) -> None:
-        super().__init__(shown.feed, shown.token, shown.port, shown.server, shown.views, shown.report)
-        self.vehicle = vehicle
-
-
 @contextmanager
-def serving(feed: BusFeed, bus: BusOptions) -> Iterator[Page]:
+def serving(feed: BusFeed, bus: BusOptions) -> Iterator[Served]:
     """Serve the page of a feed; its buttons act on ``bus``."""
     with serve.listen("127.0.0.1", 0) as place, tempfile.TemporaryDirectory() as folder:
         place.listen()
@@ -210,7 +183,7 @@ def serving(feed: BusFeed, bus: BusOptions) -> Iterator[Page]:
         thread.start()
         try:
             until(lambda: server.started)
-            yield Page(feed, token.text, port, server, views, report)
+            yield Served(feed, token.text, port, server, views, report)
         finally:
             server.should_exit = True
             thread.join(10)
@@ -228,9 +201,5 @@ def served(router_port: int) -> Iterator[Served]:
     router = BusOptions(listen=(endpoint,), namespace="synthetic")
     with opened(router), opened(reached) as aboard, opened(reached) as ashore:
         feed = BusFeed(ashore, vehicle_of({"config/vehicle.toml": synthetic_run.VEHICLE}))
-        vehicle = SyntheticVehicle(aboard)
-        try:
-            with serving(feed, reached) as shown:
-                yield Served(shown, vehicle)
-        finally:
-            vehicle.close()
+        with serving(feed, reached) as shown, closing(SyntheticVehicle(aboard)) as shown.vehicle:
+            yield shown

@@ -16,7 +16,6 @@ from ltv_mpc.messages import Estimate, Message, NodeStatus, Plan, RunEvent, Trut
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.mailbox import Mailbox
 from services.bus.options import BusOptions
-from services.bus.outbox import Outbox
 from services.bus.roles import HISTORY
 from services.bus.session import Reply, Session, open_session
 from services.bus.topics import BY_TYPE
@@ -62,10 +61,7 @@ class Publisher:
 
     def __init__(self, session: Session) -> None:
         self._dive = list(synthetic_run.dive(END_S))
-        kinds: dict[str, set[type[Message]]] = {}
-        for node, signal, _ in self._dive:
-            kinds.setdefault(node, {NodeStatus}).add(type(signal))
-        self.outs = {node: Outbox(session, node=node, epoch=EPOCH, kinds=tuple(of)) for node, of in kinds.items()}
+        self.outs = synthetic_run.outboxes(session)
         self.estimate = synthetic_run.estimate(0)
         """Newest published estimate."""
         self._newest: dict[type[Message], tuple[str, Message]] = {}

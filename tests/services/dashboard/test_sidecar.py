@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import http.client
 import json
 import os
 import threading
 import urllib.request
-from collections.abc import Sequence
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -18,30 +16,20 @@ from services.bus.options import BusOptions
 from services.bus.session import open_session
 from services.dashboard.config import About
 from services.dashboard.serve import NICE
-from services.dashboard.sidecar import NEEDS, Sidecar
+from services.dashboard.sidecar import Sidecar
 from services.recording.node_settings import VEHICLE as VEHICLE_FILE
 from tests.services.reporting import synthetic_run
 from tests.waiting import until
 
 
-def page_of(
-    folder: Path, needs: Sequence[str] = NEEDS, *, waits: bool = True, report: Path | None = None
-) -> tuple[Sidecar, list[str]]:
+def page_of(folder: Path, *, waits: bool = True) -> tuple[Sidecar, list[str]]:
     said: list[str] = []
     (folder / "logs").mkdir()
     vehicle = folder / VEHICLE_FILE
     vehicle.parent.mkdir()
     vehicle.write_text(synthetic_run.VEHICLE)
-    page = Sidecar(
-        said.append,
-        folder=folder,
-        vehicle=vehicle,
-        about=About(report="" if report is None else str(report)),
-        open_browser=False,
-        waits=waits,
-        needs=needs,
-    )
-    return page, said
+    about = About(report=str(folder / "report.html"))
+    return Sidecar(said.append, folder=folder, vehicle=vehicle, about=about, open_browser=False, waits=waits), said
 
 
 def gives_way(pid: int) -> None:
@@ -51,35 +39,10 @@ def gives_way(pid: int) -> None:
         assert group.read_text().split()[-2:] == ["nice", str(NICE)]
 
 
-def test_the_address_is_said_and_the_page_ends_with_the_run(tmp_path: Path, free_port: int) -> None:
-    endpoint = f"tcp/127.0.0.1:{free_port}"
-    page, said = page_of(tmp_path)
-    with open_session(BusOptions(listen=(endpoint,)), stop=lambda: False, say=said.append):
-        page.start(BusOptions(connect=(endpoint,), namespace="a/run"))
-        try:
-            until(lambda: said, within_s=60.0)
-            (line,) = said
-            url = urlsplit(line.removeprefix("live page: "))
-            assert len(url.fragment) >= 32
-            connection = http.client.HTTPConnection("127.0.0.1", url.port or 0, timeout=20)
-            connection.request("GET", "/")
-            assert connection.getresponse().status == 200
-            connection.close()
-            assert page.pid is not None
-            gives_way(page.pid)
-        finally:
-            page.stop()
-    page.stop()  # of one that has ended
-    assert (tmp_path / "logs" / "dashboard.log").read_text() == ""
-
-
 @pytest.mark.parametrize("waits", [True, False])
-def test_the_run_waits_for_a_page_from_opened_to_drawn_and_then_until_it_has_the_report(
-    tmp_path: Path, free_port: int, waits: bool
-) -> None:
+def test_the_run_waits_for_a_page_from_opened_to_drawn_and_then_until_it_has_the_report(tmp_path, free_port, waits):
     endpoint = f"tcp/127.0.0.1:{free_port}"
-    report = tmp_path / "report.html"
-    page, said = page_of(tmp_path, waits=waits, report=report)
+    page, said = page_of(tmp_path, waits=waits)
     with open_session(BusOptions(listen=(endpoint,)), stop=lambda: False, say=said.append):
         page.start(BusOptions(connect=(endpoint,), namespace="a/run"))
         given = threading.Thread(target=page.give_report)
@@ -87,7 +50,11 @@ def test_the_run_waits_for_a_page_from_opened_to_drawn_and_then_until_it_has_the
             page.show("compiling: 43 %")
             until(lambda: said, within_s=60.0)
             page.give_report()  # nobody shows the page
-            host = urlsplit(said[0].removeprefix("live page: ")).netloc
+            url = urlsplit(said[0].removeprefix("live page: "))
+            host = url.netloc
+            assert len(url.fragment) >= 32
+            assert page.pid is not None
+            gives_way(page.pid)
             assert not page.awaited
             urllib.request.urlopen(f"http://{host}/").close()
             until(lambda: page.awaited is waits)
@@ -98,7 +65,7 @@ def test_the_run_waits_for_a_page_from_opened_to_drawn_and_then_until_it_has_the
                 given.start()
                 given.join(0.5 if waits else 60.0)
                 assert given.is_alive() is waits
-                report.write_text("report")
+                (tmp_path / "report.html").write_text("report")
                 assert urllib.request.urlopen(f"http://{host}/report").read() == b"report"
                 stream.send(json.dumps({"number": 0, "token": "", "button": "has report"}))
                 given.join(60.0)
@@ -106,11 +73,14 @@ def test_the_run_waits_for_a_page_from_opened_to_drawn_and_then_until_it_has_the
         finally:
             page.stop()
         page.show("starting")  # of one that has ended
+        page.stop()
         assert not page.awaited
+    assert (tmp_path / "logs" / "dashboard.log").read_text() == ""
 
 
-def test_without_the_extra_the_run_reports_it_and_continues(tmp_path: Path) -> None:
-    page, lines = page_of(tmp_path, needs=("starlette", "no_such_package"))
+def test_without_the_extra_the_run_reports_it_and_continues(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("services.dashboard.sidecar.NEEDS", ("starlette", "no_such_package"))
+    page, lines = page_of(tmp_path)
     page.start(BusOptions(connect=("tcp/127.0.0.1:1",)))
     page.stop()
     assert lines == ["no live page: no_such_package is not installed: pip install no_such_package (extra viz)"]

@@ -12,19 +12,17 @@ import pytest
 
 from ltv_mpc.messages import Estimate, Message, Plan
 from services.bus.mailbox import Mailbox
-from services.bus.options import BusOptions
-from services.bus.session import open_session
 from services.bus.topics import BY_TYPE
 from services.bus.wire import Header, encode
 from services.edges.edge import Edge, Outgoing, Output, Received
 from services.processes.edge_loop import EdgeLoop
 from services.runtime.stopping import StopRequest
-from services.supervisor import loopback
 from tests.services.edges.plans import plan
 
 PERIOD_US = 3_600_000_000
 """An hour, so that all later steps have another cause."""
 PATIENCE_S = 30.0
+PLAN = encode(plan(0), Header(epoch=2, sequence=0))
 
 
 class CountingEdge(Edge):
@@ -54,31 +52,29 @@ class Sent:
         self.payloads.put(frame.payload)
 
 
+BUS: Any = SimpleNamespace(subscribe=lambda *_: None, publisher=lambda _: SimpleNamespace(put=lambda _: None))
+
+
 def test_the_loop_steps_at_once_when_a_plan_has_come_and_says_why_it_does_not_drive() -> None:
-    stop, mailbox, sent = StopRequest(), Mailbox(), Sent()
+    stop, mailbox, sent, said = StopRequest(), Mailbox(), Sent(), list[str]()
     stop.on_request(mailbox.wake)
-    listen = (f"tcp/127.0.0.1:{loopback.free_port()}",)
-    with open_session(BusOptions(listen=listen), stop=stop, say=print) as session:
-        edge = CountingEdge(epoch=1)
-        edge.clock.update(0, 0)
-        edge.idle = "autopilot disarmed; arm it"
-        said: list[str] = []
-        loop = EdgeLoop(edge, session, mailbox, 1, said.append)
-        thread = threading.Thread(target=loop.run, args=(sent, PERIOD_US, stop))
-        thread.start()
-        try:
-            assert sent.payloads.get(timeout=PATIENCE_S) == b"none"
-            header = Header(epoch=2, sequence=0, sent_monotonic_us=0)
-            mailbox.offer(BY_TYPE[Plan], "plan", encode(plan(0), header))
-            assert sent.payloads.get(timeout=PATIENCE_S) == b"plan"
-            assert edge.plans.identity == (2, 0)
-            edge.idle = ""
-            mailbox.offer(None, "", b"frame of the other side")
-        finally:
-            stop.request()
-            thread.join(PATIENCE_S)
-        assert sent.payloads.get(timeout=PATIENCE_S) == b"release"
-        assert said == ["not driving: autopilot disarmed; arm it", "driving"]
+    edge = CountingEdge(epoch=1)
+    edge.clock.update(0, 0)
+    edge.idle = "autopilot disarmed; arm it"
+    thread = threading.Thread(target=EdgeLoop(edge, BUS, mailbox, 1, said.append).run, args=(sent, PERIOD_US, stop))
+    thread.start()
+    try:
+        assert sent.payloads.get(timeout=PATIENCE_S) == b"none"
+        mailbox.offer(BY_TYPE[Plan], "plan", PLAN)
+        assert sent.payloads.get(timeout=PATIENCE_S) == b"plan"
+        assert edge.plans.identity == (2, 0)
+        edge.idle = ""
+        mailbox.offer(None, "", b"frame of the other side")
+    finally:
+        stop.request()
+        thread.join(PATIENCE_S)
+    assert sent.payloads.get(timeout=PATIENCE_S) == b"release"
+    assert said == ["not driving: autopilot disarmed; arm it", "driving"]
 
 
 class HostileEdge(CountingEdge):
@@ -113,10 +109,8 @@ class Broken(Sent):
 
 def test_no_input_ends_the_loop_and_however_it_ends_the_thrusters_are_released() -> None:
     mailbox, sent, edge = Mailbox(), Broken(), HostileEdge(epoch=1)
-    bus: Any = SimpleNamespace(subscribe=lambda *_: None, publisher=lambda _: SimpleNamespace(put=lambda _: None))
     mailbox.offer(None, "odometry", b"7")
-    header = Header(epoch=2, sequence=0, sent_monotonic_us=0)
-    mailbox.offer(BY_TYPE[Plan], "plan", encode(plan(0), header))
+    mailbox.offer(BY_TYPE[Plan], "plan", PLAN)
     taken = StopRequest()
 
     def stop() -> bool:
@@ -124,7 +118,7 @@ def test_no_input_ends_the_loop_and_however_it_ends_the_thrusters_are_released()
         return taken()
 
     with pytest.raises(RuntimeError, match="broken"):
-        EdgeLoop(edge, bus, mailbox, 1, print).run(sent, 1, stop)  # type: ignore[arg-type]
+        EdgeLoop(edge, BUS, mailbox, 1, print).run(sent, 1, stop)  # type: ignore[arg-type]
     assert edge.refused_by_reason == {"ZeroDivisionError of odometry": 1, "OverflowError of plan": 1}
     payloads = [sent.payloads.get() for _ in range(sent.payloads.qsize())]
     assert payloads[-1] == b"release"

@@ -17,7 +17,7 @@ from ltv_mpc.control.solvers.sparse import SparseLayout
 from ltv_mpc.messages import Solve, SolveStatus
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.cli.app import run
-from services.processes.failed_qps import FailedQps
+from services.processes.controller import FailedQps
 
 
 @pytest.fixture
@@ -38,27 +38,20 @@ def shown(writer, t_ns):
     writer.show(SimpleNamespace(t_ns=t_ns))
 
 
-def test_each_failure_is_written_once_and_announced(failure, tmp_path):
-    recorder, lines = SimpleNamespace(failed=None), []
-    writer = FailedQps(recorder, tmp_path / "failed", lines.append)
+def test_each_failure_is_written_once_and_announced_up_to_a_number_of_files(failure, tmp_path):
+    recorder, lines, folder = SimpleNamespace(failed=None), [], tmp_path / "failed"
+    writer = FailedQps(recorder, folder, lines.append, max_files=2)
     shown(writer, 1)
-    assert not (tmp_path / "failed").exists()
-    recorder.failed = failure()
-    shown(writer, 2)
-    shown(writer, 3)
-    (path,) = (tmp_path / "failed").iterdir()
-    assert path.name == "qp-2.qp"
-    assert lines == [f"a QP was not solved (slew of port in stage 2 violated by 3 N); saved: ltv-mpc qp show {path}"]
-    np.testing.assert_array_equal(NamedQp.load(path).qp.q, recorder.failed.qp.q)
-
-
-def test_at_most_max_files_are_written(failure, tmp_path):
-    recorder = SimpleNamespace(failed=None)
-    writer = FailedQps(recorder, tmp_path, lambda _text: None, max_files=2)
-    for t_ns in range(4):
+    assert not folder.exists()
+    for t_ns in (2, 4, 6):
         recorder.failed = failure()
         shown(writer, t_ns)
-    assert len(list(tmp_path.iterdir())) == 2
+        shown(writer, t_ns + 1)
+    assert {path.name for path in folder.iterdir()} == {"qp-2.qp", "qp-4.qp"}
+    path = folder / "qp-2.qp"
+    assert len(lines) == 2
+    assert lines[0] == f"a QP was not solved (slew of port in stage 2 violated by 3 N); saved: ltv-mpc qp show {path}"
+    np.testing.assert_array_equal(NamedQp.load(path).qp.q, recorder.failed.qp.q)
 
 
 def test_a_folder_that_cannot_be_written_is_reported(failure, tmp_path):

@@ -28,6 +28,7 @@ from ltv_mpc.messages import (
     InnovationSample,
     LocalisationReport,
     Message,
+    NodeStatus,
     Obstacle,
     Plan,
     PlanOrigin,
@@ -39,6 +40,8 @@ from ltv_mpc.messages import (
     Truth,
     ZoneInForce,
 )
+from services.bus.outbox import Outbox
+from services.bus.session import Session
 from services.bus.wire import Header
 from services.recording.writer import RunWriter
 from services.reporting.plots import collector
@@ -55,6 +58,7 @@ CYCLE_NS = 300_000_000
 EPOCH = 7
 NIS = 0.9
 INNOVATIONS, INNOVATION_SDS = (0.1, -0.1, 0.02, 0.0), (0.3, 0.4, 0.01, 0.01)
+NODES = ("plant", "sensors", "estimator", "controller", "recorder")
 BASIN, WRECK = 'keep_in[0] "basin"', 'keep_out_disc[0] "wreck"'
 
 VEHICLE = (Path(__file__).parents[3] / "ltv_mpc" / "vehicle" / "files" / "paper.toml").read_text()
@@ -220,6 +224,14 @@ def dive(until_s: float = 20.0) -> Iterator[tuple[str, Message, int]]:
             yield "controller", fence(t_ns), t_ns
         if t_ns == EVENT.t_ns:
             yield "plant", EVENT, t_ns
+
+
+def outboxes(session: Session) -> dict[str, Outbox]:
+    """Return the publisher of each process of the dive, which publishes its status too."""
+    kinds: dict[str, set[type[Message]]] = {node: {NodeStatus} for node in NODES}
+    for node, message, _ in dive(EVENT.t_ns / S):
+        kinds.setdefault(node, {NodeStatus}).add(type(message))
+    return {node: Outbox(session, node=node, epoch=EPOCH, kinds=tuple(of)) for node, of in kinds.items()}
 
 
 def record(path: Path, until_s: float = 20.0) -> Path:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from importlib.resources import files
-from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -141,9 +140,7 @@ CAUSES: dict[str, tuple[str, dict[str, Any], list[str], str | None, dict[str, An
 
 
 @pytest.mark.parametrize("cause", CAUSES)
-def test_the_cause_is_named_and_what_reduces_it_is_better(
-    cause: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_cause_is_named_and_what_reduces_it_is_better(cause, tmp_path, monkeypatch) -> None:
     scenario, changes, words, option, advised = CAUSES[cause]
     for name, (package, values) in FILES.items():
         text = files(package).joinpath("paper.toml").read_text()

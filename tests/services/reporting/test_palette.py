@@ -48,9 +48,7 @@ def lab(colour: str, vision: str) -> Array:
 @pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
 @pytest.mark.parametrize("colours", [MEANT, palette.RUNS], ids=["meanings", "runs"])
 @pytest.mark.parametrize("vision", VISION)
-def test_colours_remain_different_for_each_kind_of_colour_blindness(
-    vision: str, colours: tuple[str, ...], dark: bool
-) -> None:
+def test_colours_remain_different_for_each_kind_of_colour_blindness(vision, colours, dark) -> None:
     shown = [palette.DARK[colour] if dark else colour for colour in colours]
     for one, other in itertools.combinations(shown, 2):
         assert np.linalg.norm(lab(one, vision) - lab(other, vision)) > LEAST, (one, other)

@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc.messages import Estimate, PlanOrigin
+from ltv_mpc.messages import Array, Estimate, PlanOrigin
 from ltv_mpc.vehicle.propulsion import propulsive_power_W
 from services.bus.wire import Header
 from services.recording.node_settings import vehicle_of
@@ -26,6 +26,7 @@ from tests.services.reporting.synthetic_run import DRIFT_EAST_MPS, EPOCH, GROWTH
 from tests.services.runtime.test_controller_status import STATUS as CONTROLLER_STATUS
 from tests.services.words import status
 
+ARROWS = ("port", "starboard", "current")
 SPEEDS = ("gnss_velocity", "adcp", "bottom_track")
 
 
@@ -50,31 +51,28 @@ def test_each_plot_names_columns_that_there_are(collector: Collector) -> None:
             assert level.value in collector.values
 
 
-def test_errors_are_drifts_since_the_start_and_so_is_their_spread(collector: Collector) -> None:
-    columns = collector.tables["errors"].since(0)
-    t = np.array(columns["t_s"], dtype=float)
-    assert t[0] == 0.0
-    assert t[-1] == 20.0
-    np.testing.assert_allclose(np.array(columns["north_m"], dtype=float), 0.0, atol=1e-4)
-    np.testing.assert_allclose(np.array(columns["east_m"], dtype=float), DRIFT_EAST_MPS * t, atol=1e-4)
-    np.testing.assert_allclose(
-        np.array(columns["plus_2_sigma_m"], dtype=float), 2 * np.sqrt(GROWTH_M2_PER_S * t), atol=1e-4
-    )
+def columns(collector: Collector, table: str, *names: str) -> Array:
+    """Return columns (N, C) of a table."""
+    cells = collector.all_tables()[table]
+    return np.column_stack([np.array(cells[name], dtype=float) for name in names])
 
 
-def test_the_true_track_begins_where_the_vehicle_believed_to_be(collector: Collector) -> None:
-    columns = collector.tables["truth"].since(0)
-    assert (columns["t_s"][0], columns["north_m"][0], columns["east_m"][0]) == (0.0, *OFFSET)
-    assert columns["north_m"][-1] == pytest.approx(OFFSET[0] + 2.0)
+def test_errors_and_the_true_track_are_drifts_since_the_start_and_so_is_their_spread(collector: Collector) -> None:
+    t, north, east, spread = columns(collector, "errors", "t_s", "north_m", "east_m", "plus_2_sigma_m").T
+    assert (t[0], t[-1]) == (0.0, 20.0)
+    np.testing.assert_allclose(north, 0.0, atol=1e-4)
+    np.testing.assert_allclose(east, DRIFT_EAST_MPS * t, atol=1e-4)
+    np.testing.assert_allclose(spread, 2 * np.sqrt(GROWTH_M2_PER_S * t), atol=1e-4)
+    true = columns(collector, "truth", "t_s", "north_m", "east_m")
+    assert tuple(true[0]) == (0.0, *OFFSET)
+    assert true[-1, 1] == pytest.approx(OFFSET[0] + 2.0)
 
 
 def test_distances_are_those_to_the_target(collector: Collector) -> None:
-    believed, true = (collector.tables[name].since(0) for name in ("distance", "true_distance"))
-    for columns, drift in ((believed, DRIFT_EAST_MPS), (true, 0.0)):
-        for t, distance in zip(columns["t_s"], columns["distance_m"], strict=True):
-            assert t is not None
-            north, east = OFFSET[0] + 0.1 * t - TARGET[0], OFFSET[1] + drift * t - TARGET[1]
-            assert distance == pytest.approx(math.hypot(north, east), abs=1e-3)
+    for table, drift in (("distance", DRIFT_EAST_MPS), ("true_distance", 0.0)):
+        t, distance = columns(collector, table, "t_s", "distance_m").T
+        expected = np.hypot(OFFSET[0] + 0.1 * t - TARGET[0], OFFSET[1] + drift * t - TARGET[1])
+        np.testing.assert_allclose(distance, expected, atol=1e-3)
 
 
 def test_a_target_that_moves_is_where_it_is_at_the_estimate_s_time() -> None:
@@ -86,29 +84,22 @@ def test_a_target_that_moves_is_where_it_is_at_the_estimate_s_time() -> None:
             first = synthetic_run.plan(t_ns).t_ns[0] / S
             target = (OFFSET[0] + 0.1 * first, OFFSET[1] + DRIFT_EAST_MPS * first + 1.0)
             collector.add(msgspec.structs.replace(synthetic_run.plan(t_ns, target=target), progress=first / 10), EPOCH)
-    columns = collector.tables["distance"].since(0)
-    assert len(columns["t_s"]) > 40
-    np.testing.assert_allclose(np.array(columns["distance_m"], dtype=float)[2:], 1.0, atol=2e-3)
+    distance = columns(collector, "distance", "distance_m")
+    assert len(distance) > 40
+    np.testing.assert_allclose(distance[2:], 1.0, atol=2e-3)
 
 
-def test_every_point_of_the_ellipse_is_two_standard_deviations_away(collector: Collector) -> None:
-    ellipse = collector.all_tables()["ellipse"]
+def test_ellipse_and_profile_have_two_standard_deviations(collector: Collector) -> None:
     newest = synthetic_run.estimate(20 * S)
-    away = np.array([ellipse["north_m"], ellipse["east_m"]], dtype=float).T - [newest.north_m, newest.east_m]
+    away = columns(collector, "ellipse", "north_m", "east_m") - [newest.north_m, newest.east_m]
     np.testing.assert_allclose(np.sum(away**2, axis=1) / (GROWTH_M2_PER_S * 20), 4.0, rtol=1e-2)
-
-
-def test_the_profile_has_a_band_of_two_standard_deviations(collector: Collector) -> None:
-    profile = collector.all_tables()["profile"]
-    assert profile["north_low_mps"] == pytest.approx([0.01, -0.02, -0.05])
-    assert profile["east_high_mps"] == pytest.approx([0.0, 0.04, 0.08])
+    band = columns(collector, "profile", "north_low_mps", "east_high_mps")
+    np.testing.assert_allclose(band, [[0.01, 0.0], [-0.02, 0.04], [-0.05, 0.08]], atol=1e-9)
 
 
 def test_the_deadline_is_when_the_plan_takes_effect_in_wall_time(collector: Collector) -> None:
     """150 ms of the vehicle at ten times real time are 15 ms."""
-    columns = collector.tables["latency"].since(0)
-    assert set(columns["deadline_ms"]) == {15.0}
-    assert set(columns["cycle_ms"]) == {2.0}
+    assert set(map(tuple, columns(collector, "latency", "deadline_ms", "cycle_ms"))) == {(15.0, 2.0)}
 
 
 def test_percentiles_are_those_of_all_durations() -> None:
@@ -153,23 +144,20 @@ def test_the_energy_is_that_of_the_delivered_thrusts(collector: Collector) -> No
     ahead, _, down = truth.water_velocity_mps
     power_W = propulsive_power_W(vehicle, thrust_N, np.array([ahead]), np.array([down]))
     assert power_W is not None
-    columns = collector.tables["energy"].since(0)
-    assert (columns["t_s"][0], columns["t_s"][-1]) == (0.0, 20.0)
-    assert columns["all_J"][-1] == pytest.approx(20.0 * power_W.sum(), rel=1e-3)
-    assert columns["lateral_J"][-1] == pytest.approx(20.0 * power_W[0, :2].sum(), rel=1e-3)
+    energy = columns(collector, "energy", "t_s", "all_J", "lateral_J")
+    assert (energy[0, 0], energy[-1, 0]) == (0.0, 20.0)
+    np.testing.assert_allclose(energy[-1, 1:], [20.0 * power_W.sum(), 20.0 * power_W[0, :2].sum()], rtol=1e-3)
 
 
 def test_the_vehicle_is_seen_from_above(collector: Collector) -> None:
     """It heads north, with 24 % of the thrust limit on port; at 4 m the water moves west."""
-    tables, newest = collector.all_tables(), synthetic_run.estimate(20 * S)
-    assert tables["hull"]["north_m"][0] == pytest.approx(newest.north_m + 1.0)
-    foot, tip = tables["port_arrow"]["north_m"][:2]
-    assert tip - foot == pytest.approx(2.0 * 15.0 / 62.5, abs=1e-3)  # type: ignore[operator]
-    assert tables["port_arrow"]["east_m"][0] < newest.east_m < tables["starboard_arrow"]["east_m"][0]  # type: ignore[operator]
-    foot, tip = tables["starboard_arrow"]["north_m"][:2]
-    assert tip - foot == pytest.approx(-2.0 * 15.0 / 62.5, abs=1e-3)  # type: ignore[operator]
-    current = tables["current_arrow"]
-    assert current["east_m"][1] - current["east_m"][0] == pytest.approx(-0.012 * 2.0 / 0.1, abs=1e-3)  # type: ignore[operator]
+    newest = synthetic_run.estimate(20 * S)
+    lines = {f"{name}_arrow": columns(collector, f"{name}_arrow", "north_m", "east_m") for name in ARROWS}
+    ways = [line[1] - line[0] for line in lines.values()]  # from foot to tip
+    expected = [[2.0 * 15.0 / 62.5, 0.0], [-2.0 * 15.0 / 62.5, 0.0], [0.026 * 2.0 / 0.1, -0.012 * 2.0 / 0.1]]
+    np.testing.assert_allclose(ways, expected, atol=1e-3)
+    assert lines["port_arrow"][0, 1] < newest.east_m < lines["starboard_arrow"][0, 1]
+    assert columns(collector, "hull", "north_m")[0] == pytest.approx(newest.north_m + 1.0)
 
 
 def test_events_and_changes_are_marks() -> None:
@@ -227,16 +215,6 @@ def test_estimates_of_a_source_that_is_not_in_use_are_not_drawn(tmp_path: Path) 
                 estimate = msgspec.structs.replace(Estimate.at_rest(north_m=north_m, depth_m=0.0), t_ns=t_ns)
                 writer.write("estimator", estimate, Header(epoch=epoch, sequence=k), t_ns)
     assert read(path).tables["track"]["north_m"] == [1.0] * 20
-
-
-def test_of_a_recording_that_was_cut_off_what_is_there_is_read(tmp_path: Path) -> None:
-    path = synthetic_run.record(tmp_path / "run.mcap", until_s=60.0)
-    whole = path.read_bytes()
-    path.write_bytes(whole[: len(whole) // 2])
-    picture = read(path)
-    assert picture.cut
-    times = picture.tables["track"]["t_s"]
-    assert 5.0 < times[-1] < 60.0  # type: ignore[operator]
 
 
 def test_the_review_of_a_run_is_that_of_its_tables() -> None:

@@ -43,9 +43,7 @@ def data(text: str) -> dict[str, Any]:
     return found
 
 
-def test_a_run_s_report_is_one_small_file_in_its_folder(
-    runs: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_run_s_report_is_one_small_file_in_its_folder(runs, capsys) -> None:
     assert app.run(["report", str(runs[0])]) == 0
     out = capsys.readouterr().out
     report = runs[0] / "report.html"
@@ -81,9 +79,7 @@ def test_the_first_part_says_whether_the_run_was_safe(runs: tuple[Path, Path], t
     assert "first: made up, vehicle paper, as processes at 10 x real time, seed 3 · The vehicle was 0.250 m" in both
 
 
-def test_several_runs_lie_over_each_other_with_their_differences(
-    runs: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_several_runs_lie_over_each_other_with_their_differences(runs, tmp_path, capsys) -> None:
     assert app.run(["report", *map(str, runs), "--out", str(tmp_path / "both"), "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)
     assert printed["report"] == str(tmp_path / "both" / "report.html")
@@ -107,9 +103,7 @@ def test_of_a_run_that_was_cut_off_the_report_says_so(runs: tuple[Path, Path], t
     assert data(text)["runs"][0]["tables"]["track"]["t_s"]
 
 
-def test_what_is_no_run_or_already_there_is_refused(
-    runs: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_no_run_or_already_there_is_refused(runs, tmp_path, capsys) -> None:
     (tmp_path / "run.mcap").write_text("no recording")
     there = tmp_path / "there.html"
     there.write_text("mine")
@@ -125,9 +119,7 @@ def test_what_is_no_run_or_already_there_is_refused(
     assert not (tmp_path / "report.html").exists()
 
 
-def test_without_plotly_a_run_says_in_one_line_that_it_wrote_none(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_plotly_a_run_says_in_one_line_that_it_wrote_none(tmp_path, monkeypatch, capsys) -> None:
     monkeypatch.setattr(static_files, "find_spec", lambda _: None)
     static_files.plotly.cache_clear()
     out = tmp_path / "run"
@@ -136,6 +128,8 @@ def test_without_plotly_a_run_says_in_one_line_that_it_wrote_none(
     assert said == ["no report.html: plotly is not installed: pip install plotly (extra viz)"]
     assert (out / "summary.json").exists()
     assert not (out / "report.html").exists()
+    assert app.run(["report", str(out)]) == 1
+    assert capsys.readouterr().err == "report: plotly is not installed: pip install plotly (extra viz)\n"
 
 
 def test_beside_a_vehicle_no_plot_of_a_truth_is_drawn_and_times_count_from_the_start(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""The live screen fits 80 x 24 characters and shows the content of the messages."""
+"""The screen of a run fits 80 x 24 characters and shows the content of the messages; a pipe gets lines."""
 
 from __future__ import annotations
 
@@ -7,77 +7,22 @@ import io
 import math
 from collections.abc import Sequence
 
-import msgspec
-import numpy as np
 import pytest
+from msgspec.structs import replace
 from rich.console import Console
 
-from ltv_mpc.messages import (
-    Applied,
-    Authority,
-    ControllerStatus,
-    CurrentProfile,
-    CycleTiming,
-    Estimate,
-    FilterStatus,
-    Health,
-    LocalisationReport,
-    NodeStatus,
-    Plan,
-    PlanOrigin,
-    SensorReport,
-    SensorStatus,
-    Solve,
-    SolveStatus,
-    Truth,
-)
-from services.reporting.terminal import RunScreen, bar, is_plain
+from ltv_mpc.messages import Authority, ControllerStatus, FilterStatus, Health, NodeStatus, PlanOrigin, SensorStatus
+from services.reporting.plots.collector import Collector
+from services.reporting.terminal import RunScreen, bar, is_plain, observe
 from services.supervisor.screen import ORDER, LiveView
 from tests.services.bus.messages import EXAMPLES
+from tests.services.reporting import synthetic_run
+from tests.services.reporting.synthetic_run import S
 from tests.services.words import status
 
 LIMITS = [(-62.5, 62.5)] * 3
-S = 1_000_000_000
-
-TRUTH = Truth(
-    t_ns=123 * S,
-    position_m=(3.0, 4.0, 1234.5),
-    velocity_mps=(0.0, 0.0, 0.2),
-    attitude_rad=(0.0, 0.0, -math.pi / 2),
-    water_velocity_mps=(0.0, 0.0, 0.2),
-    yaw_rate_radps=0.0,
-    current_mps=(0.03, 0.04),
-    thrust_N=(-62.5, 31.25, 62.5),
-)
-APPLIED = Applied(
-    t_ns=123 * S,
-    thrust_N=(-62.5, 31.25, 62.5),
-    command_N=(-62.5, 31.25, 62.5),
-    command_slew_N_per_s=(0.0, 0.0, 0.0),
-    plan_epoch=1,
-    plan_sequence=2,
-    plan_cycle_t_ns=122 * S,
-    plan_received_t_ns=122 * S,
-    plan_late=False,
-    plans_late=123456,
-    plans_rejected=0,
-)
-PLAN = Plan(
-    cycle_t_ns=122 * S,
-    t_ns=np.array([122 * S, 123 * S]),
-    thrust_N=np.zeros((2, 3)),
-    states=np.zeros((2, 6)),
-    origin=PlanOrigin.SHIFTED,
-    solve=Solve(status=SolveStatus.SOLVED),
-    reference_m=(0.0, 0.0),
-)
-TIMING = CycleTiming(
-    t_ns=122 * S,
-    compute_ns=5_000_000,
-    compute_wall_ns=1_234_500_000,
-    estimate_age_ns=0,
-    stage_us={"predict": 1e3, "linearise": 3e5, "build": 2e5, "update": 1e5, "solve": 1.23456e6, "read": 1.0},
-)
+NOW_NS = 21 * S
+SPENT_US = {"predict": 1e3, "linearise": 3e5, "build": 2e5, "update": 1e5, "solve": 1.23456e6, "read": 1.0}
 
 
 def long_status(node: str) -> NodeStatus:
@@ -87,49 +32,34 @@ def long_status(node: str) -> NodeStatus:
     return status(node, waiting_for=waiting_for, step_us=123456.0, **counts, **lost)
 
 
-ESTIMATE = msgspec.structs.replace(
-    Estimate.at_rest(north_m=2.7, east_m=3.6, heading_rad=-math.pi / 2, depth_m=1234.5),
-    t_ns=122_750_000_000,
-    current=CurrentProfile(depth_m=np.array([1.0]), north_mps=np.array([0.03]), east_mps=np.array([0.04])),
-)
-CONTROLLER = msgspec.structs.replace(
+CONTROLLER = replace(
     next(message for message in EXAMPLES if isinstance(message, ControllerStatus)),
-    authority=Authority.CONTROLLER,
-    health=Health.DEGRADED,
+    **{"authority": Authority.CONTROLLER, "health": Health.DEGRADED, "progress": 0.62},
     health_why="the estimates are too old",
-    error_m=0.021,
-    progress=0.62,
 )
-LOCALISATION = LocalisationReport(
-    t_ns=123 * S,
+REPORT = synthetic_run.report(NOW_NS)
+STATUSES = zip(REPORT.sensors, (SensorStatus.REJECTED, SensorStatus.OK, SensorStatus.SILENT), strict=False)
+LOCALISATION = replace(
+    REPORT,
     status=FilterStatus.INCONSISTENT,
     why="adcp: more than half of its measurements fail the gate",
-    restarts=0,
-    water_walk_mps_per_rts=0.0,
-    sensors=tuple(
-        SensorReport(sensor=name, status=status, used=0, rejected={}, nis=None, last_t_ns=None)
-        for name, status in (("adcp", SensorStatus.REJECTED), ("gnss", SensorStatus.OK), ("lbl", SensorStatus.SILENT))
-    ),
+    sensors=tuple(replace(sensor, status=state) for sensor, state in STATUSES),
 )
-FULL = LiveView(
-    t_ns=123 * S,
-    start_ns=-1 * S,
-    end_ns=1800 * S,
-    speed=123.4,
-    requested_speed=1000.0,
-    wall_s=99999.0,
+EMPTY = LiveView(t_ns=0, start_ns=-S, end_ns=200 * S, speed=10.0, wall_s=0.0, requested_speed=10.0, phase="starting")
+FULL = dataclasses.replace(
+    EMPTY,
+    **{"t_ns": NOW_NS, "end_ns": 1800 * S, "speed": 123.4, "requested_speed": 1000.0, "wall_s": 99999.0},
     phase="diving",
-    truth=TRUTH,
-    estimate=ESTIMATE,
+    truth=synthetic_run.truth(NOW_NS),
+    estimate=replace(synthetic_run.estimate(NOW_NS - S // 4), heading_rad=-math.pi / 2, depth_m=1234.5),
     localisation=LOCALISATION,
-    plan=PLAN,
-    applied=APPLIED,
+    plan=synthetic_run.plan(NOW_NS - S, origin=PlanOrigin.SHIFTED),
+    applied=replace(synthetic_run.applied(NOW_NS), thrust_N=(-62.5, 31.25, 62.5), plans_late=123456),
     controller=CONTROLLER,
-    timing=TIMING,
+    timing=replace(synthetic_run.timing(NOW_NS, wall_ms=1234.5), stage_us=SPENT_US),
     status={name: long_status(name) for name in ORDER},
     state=dict.fromkeys(ORDER, "running"),
 )
-EMPTY = LiveView(t_ns=0, start_ns=-S, end_ns=200 * S, speed=10.0, wall_s=0.0, requested_speed=10.0, phase="starting")
 
 
 def drawn(view: LiveView, limits: Sequence[tuple[float, float]] = LIMITS) -> list[str]:
@@ -142,21 +72,6 @@ def drawn(view: LiveView, limits: Sequence[tuple[float, float]] = LIMITS) -> lis
     return capture.get().splitlines()
 
 
-def test_beside_a_boat_the_screen_has_what_a_boat_has() -> None:
-    boat = dataclasses.replace(
-        FULL,
-        end_ns=None,
-        truth=None,
-        localisation=None,
-        estimate=msgspec.structs.replace(FULL.estimate, depth_m=None, current=None),
-    )
-    text = "\n".join(drawn(boat, []))
-    assert "port" in text
-    assert "starboard" in text
-    for of_a_dive in ("vertical", "depth", "filter", "current"):
-        assert of_a_dive not in text
-
-
 @pytest.mark.parametrize("view", [FULL, EMPTY], ids=["full", "empty"])
 def test_the_screen_fits_80_by_24(view: LiveView) -> None:
     lines = drawn(view)
@@ -166,28 +81,30 @@ def test_the_screen_fits_80_by_24(view: LiveView) -> None:
 
 def test_the_screen_says_what_the_messages_hold() -> None:
     text = "\n".join(drawn(FULL))
-    assert "1234.50 m" in text  # depth
-    assert "estimate from the reference 4.500 m" in text
-    assert "vehicle 4.500 m since t = 122.8 s" in text  # of the estimate, since it is the first that was received
-    assert "control controller   degraded (the estimates are too old)   progress 62 %" in text
+    estimate_m, vehicle_m = (math.hypot(3.0 + north - 1.0, -4.0 + 0.2075 - 2.0) for north in (2.075, 2.1))
+    for words in (
+        *("depth 1234.50 m   heading 270 deg   speed 0.100 m/s   current 0.022 m/s", "plan 1.00 s (shifted)"),
+        f"estimate from the reference {estimate_m:.3f} m   vehicle {vehicle_m:.3f} m since t = 20.8 s",  # joined late
+        "control controller   degraded (the estimates are too old)   progress 62 %",
+        *("estimate 0.25 s", "late plans 123456", "diving  wall time 99999 s", "123 of 1000x", *ORDER),
+        *("inconsistent (adcp: more than half", "cycle   1234.5 ms, most of it:  solve 1234.56"),
+        f"port         -62.5 N  {bar(-62.5, -62.5, 62.5)}",
+    ):
+        assert words in text
     assert "arrived" not in text
-    arrived = dataclasses.replace(FULL, controller=msgspec.structs.replace(FULL.controller, arrived=True))
+    arrived = dataclasses.replace(FULL, controller=replace(CONTROLLER, arrived=True))
     assert "(the estimates are too old)   arrived" in "\n".join(drawn(arrived))
-    assert "270 deg" in text
-    assert "0.050 m/s" in text
-    assert "estimate 0.25 s" in text
-    assert "plan 1.00 s (shifted)" in text
-    assert "late plans 123456" in text
-    assert "diving  wall time 99999 s" in text
-    for name in (*ORDER, "port", "starboard", "vertical", "solve"):
-        assert name in text
 
 
-def test_a_vehicle_without_truth_and_known_limits_has_no_bars_and_no_end() -> None:
-    lines = drawn(dataclasses.replace(FULL, truth=None, end_ns=None, phase=""), limits=())
-    assert lines[1].strip() == "t    123.0 s"
-    assert not any("vehicle from the reference" in line or "|" in line for line in lines)
+def test_beside_a_boat_the_screen_has_what_a_boat_has() -> None:
+    afloat = replace(synthetic_run.estimate(NOW_NS), depth_m=None, current=None)
+    boat = dataclasses.replace(FULL, end_ns=None, truth=None, localisation=None, estimate=afloat, phase="")
+    lines = drawn(boat, [])
+    text = "\n".join(lines)
+    assert lines[1].strip() == "t     21.0 s"
     assert any(line.split() == ["starboard", "31.2", "N"] for line in lines)
+    for of_a_dive in ("vertical", "depth", "filter", "current", "vehicle", "|"):
+        assert of_a_dive not in text
 
 
 def test_without_a_message_nothing_looks_like_a_measurement() -> None:
@@ -202,25 +119,19 @@ def test_a_bar_is_full_at_the_limit_and_points_where_the_thrust_goes() -> None:
     assert bar(62.5, -62.5, 62.5, width=9) == "|    +====|"
     assert bar(-31.25, -62.5, 62.5, width=9) == "|  ==+    |"
     assert bar(-5.0, -10.0, 62.5, width=9) == "|  ==+    |"  # of what it can push astern
-    assert bar(0.0, -62.5, 62.5, width=9) == "|    +    |"
     assert bar(-1.0, 0.0, 62.5, width=9) == "|    +    |"  # a thruster that cannot push astern
     assert len({len(bar(x, -10.0, 62.5)) for x in (-99.0, -5.0, 0.0, 1.0, 99.0)}) == 1
 
 
-def test_where_nobody_looks_there_are_plain_lines(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_pipe_gets_lines_without_control_characters(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("NO_COLOR", raising=False)
     monkeypatch.delenv("CI", raising=False)
-    terminal = Console(file=io.StringIO(), force_terminal=True)
-    assert is_plain(Console(file=io.StringIO()))
+    terminal, file = Console(file=io.StringIO(), force_terminal=True), io.StringIO()
     assert not is_plain(terminal)
     for variable in ("NO_COLOR", "CI"):
         with monkeypatch.context() as patch:
             patch.setenv(variable, "1")
             assert is_plain(terminal)
-
-
-def test_a_plain_line_is_one_line_without_control_characters() -> None:
-    file = io.StringIO()
     screen = RunScreen("x", LIMITS, Console(file=file, width=80))
     screen.update(FULL)
     screen.update(FULL)  # too soon for another
@@ -231,3 +142,29 @@ def test_a_plain_line_is_one_line_without_control_characters() -> None:
     assert first.isprintable()
     assert "plant waits for sensors" in first
     assert second == "[bold]a phase"
+
+
+def shown(errors: Collector, t_ns: int, *, north_m: float, age_ns: int = 0) -> float | None:
+    """Show the made-up dive at a time, ``north_m`` off the estimate; return the distance of the vehicle."""
+    estimate = synthetic_run.estimate(t_ns - age_ns)
+    estimate = replace(estimate, north_m=estimate.north_m + north_m)
+    plan = synthetic_run.plan(t_ns, target=(3.0, -4.0))
+    observe(
+        errors, dataclasses.replace(EMPTY, t_ns=t_ns, truth=synthetic_run.truth(t_ns), estimate=estimate, plan=plan)
+    )
+    return errors.true_error_m
+
+
+@pytest.mark.parametrize("age_ns", [0, S // 5])
+def test_the_error_of_the_first_fix_is_no_drift_also_of_an_old_estimate(age_ns: int) -> None:
+    """The vehicle begins 3 m from its estimate and moves 0.1 m a second; an estimate is compared with its own time."""
+    errors = Collector()
+    shown(errors, S, north_m=0.0, age_ns=age_ns)
+    assert shown(errors, 3 * S, north_m=0.5) == pytest.approx(0.3, abs=1e-3)
+
+
+def test_an_estimate_from_before_the_start_does_not_say_where_the_reference_is() -> None:
+    """At ten times real time the first view after the start may hold an estimate from before a fix, metres off."""
+    errors = Collector()
+    assert shown(errors, S // 2, north_m=2.0, age_ns=S // 2 + 1) is None
+    assert shown(errors, S, north_m=0.0) == pytest.approx(0.1, abs=1e-3)

@@ -5,12 +5,11 @@ from __future__ import annotations
 import heapq
 import random
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 
 import pytest
 
 from ltv_mpc.messages import ClockMode
-from services.runtime.clock_offset import LATE_US, STEP_DETECTED_AT, WINDOW_US, ClockOffsetEstimator
+from services.runtime.clock_offset import WINDOW_US, ClockOffsetEstimator
 
 YEARS_NS = 1_763_740_800_000_000_000  # Unix time of late 2025
 BOOT_NS = -5_000_000_000
@@ -148,88 +147,9 @@ def test_implausible_receipt_times_are_ignored(off_s):
     assert clock.read(0).mode is ClockMode.ONE_WAY
 
 
-# --- steps of the clock ----------------------------------------------------------------------------------------------
+# --- steps of the clock: test_clock_sync.py has their sizes and their recognition -------------------------------------
 
-STEP_AT_US = 20_000_000
 DAY_S = 86_400.0
-STEPS_S = [0.05, 0.3, 1.0, 5.0, 60.0, DAY_S]
-
-
-@dataclass
-class Stepped:
-    """Course of the reading of a clock that steps at STEP_AT_US."""
-
-    clock: ClockOffsetEstimator
-    recognised_s: float | None = None
-    """Time from the step to its recognition."""
-    rejected: int = 0
-    wrong_s: float = 0.0
-    """Time after the step in which the reading was off by more than 50 ms."""
-
-
-def stepping(step_s: float, *, two_way: bool, delay: Delay = steady, until_s: int = 60) -> Stepped:
-    """Send a stamp each 0.1 s, with the receipt of the newest plan, one of which is sent each 0.3 s."""
-    rng = random.Random(7)
-    result = Stepped(ClockOffsetEstimator())
-    clock, received = result.clock, (0, 0)
-
-    def theirs(m_us: int) -> int:
-        return YEARS_NS + m_us * 1000 + (round(step_s * 1e9) if m_us >= STEP_AT_US else 0)
-
-    for m_us in range(0, until_s * 1_000_000, 100_000):
-        arrives = m_us + round(1e6 * delay(rng))
-        result.rejected += not clock.add_stamp(theirs(m_us), arrives)
-        sent_us, t_ns = received
-        if two_way and t_ns and sent_us > clock.stepped_us:
-            clock.add_receipt(t_ns, sent_us)
-        if m_us % 300_000 == 0:
-            received = (m_us, theirs(m_us + round(1e6 * delay(rng))))
-        if clock.clock_steps and result.recognised_s is None:
-            result.recognised_s = (arrives - STEP_AT_US) * 1e-6
-        reading = clock.read(arrives)
-        assert reading is not None
-        if m_us >= STEP_AT_US and abs(reading.offset_ns + arrives * 1000 - theirs(arrives)) > 50_000_000:
-            result.wrong_s += 0.1
-    return result
-
-
-def quick(_rng: random.Random) -> float:
-    return 0.002
-
-
-@pytest.mark.parametrize("step_s", [sign * step_s for step_s in STEPS_S for sign in (1, -1)])
-def test_two_way_a_step_is_recognised_by_three_contradictions_in_a_row(step_s):
-    stepped = stepping(step_s, two_way=True, delay=quick)
-    assert stepped.clock.clock_steps == 1
-    assert stepped.clock.certain
-    assert stepped.recognised_s <= (0.3 if step_s > 0 else 1.2)
-    assert stepped.wrong_s <= 1.2
-    assert stepped.rejected == (STEP_DETECTED_AT - 1 if step_s > 0 or step_s < -10 else 0)
-    assert stepped.clock.read(60_000_000).error_ns < 10_000_000
-
-
-@pytest.mark.parametrize(
-    ("step_s", "certain", "least_s", "most_s"),
-    [
-        *[(step_s, True, 0.0, 0.3) for step_s in STEPS_S],  # by three stamps that agree
-        *[(step_s, False, LATE_US * 1e-6, 1.3) for step_s in (-0.3, -1.0, -5.0)],  # by a second of lateness
-        *[(step_s, True, 0.0, 0.3) for step_s in (-60.0, -DAY_S)],  # by stamps that are later than any delay
-    ],
-)
-def test_one_way_a_step_is_recognised_and_certain_unless_a_congested_link_may_explain_it(
-    step_s, certain, least_s, most_s
-):
-    stepped = stepping(step_s, two_way=False)
-    assert (stepped.clock.clock_steps, stepped.clock.certain) == (1, certain)
-    assert least_s <= stepped.recognised_s <= most_s
-    assert stepped.wrong_s <= most_s
-    assert certain or stepped.rejected == 0
-
-
-@pytest.mark.parametrize("step_s", [0.02, -0.2])
-def test_one_way_a_step_that_delays_may_explain_is_not_counted(step_s):
-    stepped = stepping(step_s, two_way=False)
-    assert (stepped.clock.clock_steps, stepped.rejected) == (0, 0)
 
 
 @pytest.mark.parametrize("two_way", [True, False])
@@ -323,15 +243,3 @@ def test_where_a_congested_link_clears_up_the_clock_is_set_forward_again():
     assert clock.clock_steps == 2
     assert clock.certain
     assert clock.read(30_000_000).offset_ns == pytest.approx(-2_000_000, abs=1_100_000)
-
-
-@pytest.mark.parametrize("delay", [quick, steady])
-@pytest.mark.parametrize("share", [-0.95, -0.5, 0.5, 0.95])
-def test_a_step_below_the_error_bound_leaves_the_reading_within_it(delay, share):
-    """The two directions have the same delay, so the bound is that delay."""
-    rng = random.Random(1)
-    step_s = share * delay(rng)
-    stepped = stepping(step_s, two_way=True, delay=delay, until_s=40)
-    reading = stepped.clock.read(40_000_000)
-    true_ns = YEARS_NS + round(step_s * 1e9)
-    assert abs(reading.offset_ns - true_ns) <= reading.error_ns

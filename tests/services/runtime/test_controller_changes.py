@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc.messages import Authority, ClockStep, FenceInForce, FenceReport, Health, ZoneInForce
+from ltv_mpc.messages import Authority, FenceInForce, FenceReport, Health, ZoneInForce
 from services.runtime.controller_changes import ControllerChanges, FenceChanges
 from tests.ltv_mpc.reports import report
 from tests.services.controller_status import status
@@ -16,8 +16,6 @@ from tests.services.edges.plans import plan
 
 PLAN = plan(7)
 STATUS = msgspec.structs.replace(status(), t_ns=5, authority=Authority.CONTROLLER, health=Health.NOMINAL, health_why="")
-ARRIVED = msgspec.structs.replace(PLAN, arrived=True)
-
 Told = list[tuple[str, str, str, int, dict[str, Any]]]
 
 
@@ -99,13 +97,6 @@ def test_plans_rejected_and_late_are_counted_from_the_first_report_on(changes: C
     ]
 
 
-def test_each_step_of_a_clock_is_told(changes: ControllerChanges, told: Told) -> None:
-    for _ in range(2):
-        changes.on_message(ClockStep(t_ns=3, input="estimate", publisher=1, step_ns=-(10**9), certain=False))
-    text = "the clock of the publisher of `estimate` was set by -1.000 s, or its link is congested: degraded for 10 s"
-    assert told == [("warning", "clock", text, 3, {"input": "estimate", "step_ns": -(10**9)})] * 2
-
-
 def test_zones_and_margins_are_reported_when_they_are_entered_and_left(changes: ControllerChanges, told: Told) -> None:
     buoy = 'keep_out_disc[0] "buoy"'
     reports = (
@@ -169,11 +160,3 @@ def test_the_time_to_a_zone_is_reported_below_each_bound_once_until_it_is_far_ag
             told.append((level, time_s))
             assert text == f"the hull will be in a zone or obstacle in {time_s} s"
     assert told == [("warning", time_s) for time_s in (243, 59, 19, 19, 15, 299)]
-
-
-def test_an_arrival_is_told_once_and_not_again_by_a_controller_that_continues(
-    changes: ControllerChanges, told: Told
-) -> None:
-    for message in (ARRIVED, PLAN, ARRIVED, ARRIVED, PLAN, ARRIVED):
-        changes.on_message(message)
-    assert [text for _, kind, text, *_ in told if kind == "arrived"] == ["arrived at the end of the reference"] * 2

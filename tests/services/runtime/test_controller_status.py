@@ -126,7 +126,7 @@ def test_the_status_line_names_health_input_cycle_error_clock_and_rejections(cha
 def test_an_arrival_is_one_event_and_stands_in_the_status_and_its_line(node: ControllerNode) -> None:
     report = ControllerStatusReporter(node)
     arrived = msgspec.structs.replace(PLAN, arrived=True)
-    events = [event for one in (PLAN, arrived, arrived) for event in report.on_step([one], 1, 0)]
+    events = [event for one in (arrived, PLAN, arrived, arrived) for event in report.on_step([one], 1, 0)]
     assert [(event.kind, event.text) for event in events] == [("arrived", "arrived at the end of the reference")]
     assert report.status(0, 0, MessageValidator(), SHARED).arrived
 

@@ -20,6 +20,7 @@ from ltv_mpc.messages import (
     Message,
     NodeStatus,
     Plan,
+    RunEvent,
 )
 from services.bus.topics import BY_TYPE, STATES, Topic, topic_at
 from services.bus.wire import Header, decode, encode
@@ -84,11 +85,13 @@ def test_a_newer_message_replaces_the_one_before_and_a_damaged_frame_hides_it(et
     assert watch.newest(NodeStatus, "recorder") is None
 
 
-def test_each_kill_request_is_returned_once(ether: Ether, watch: BusMonitor) -> None:
+def test_each_kill_request_and_event_is_returned_once(ether: Ether, watch: BusMonitor) -> None:
     ether.put(Kill(node="estimator"))
     ether.deliver(BY_TYPE[Kill].key, b"\xc1")
-    assert watch.kill_requests() == ["estimator"]
-    assert watch.kill_requests() == []
+    ether.put(RunEvent(t_ns=0, node="plant", kind="fault", text="x"), node="plant")
+    found = [(type(notice), getattr(notice, "node", "")) for notice in watch.notices()]
+    assert found == [(Kill, "estimator"), (RunEvent, "plant")]
+    assert list(watch.notices()) == []
 
 
 def test_the_plan_in_force_is_the_one_that_the_actuators_report(ether: Ether, watch: BusMonitor) -> None:

@@ -17,6 +17,7 @@ from services.supervisor.child_processes import ChildProcesses
 from services.supervisor.managed_process import ManagedProcess
 from services.supervisor.parent_death import OrphanCleanup
 from services.supervisor.process_table import ProcessRow
+from tests.procfs import alive, children_of, stat
 from tests.waiting import until
 
 QUICK = """
@@ -91,18 +92,6 @@ def started(crew: ChildProcesses, name: str, task: str, code: int | str = 0) -> 
     return child
 
 
-def stat(pid: int) -> list[str]:
-    """Return state, parent, group, session, ..."""
-    return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-
-
-def alive(pid: int) -> bool:
-    try:
-        return stat(pid)[0] != "Z"
-    except OSError:
-        return False
-
-
 @pytest.mark.parametrize("forked", [True, False])
 @pytest.mark.parametrize(
     ("task", "code", "exit_code", "last"),
@@ -142,30 +131,23 @@ def test_a_child_belongs_to_the_supervisor_and_its_group_is_that_of_the_cleanup(
     assert child.exit_code() == -signal.SIGKILL
 
 
-def own_children() -> Iterator[int]:
-    """Yield the pids of this process's living children."""
-    for folder in Path("/proc").glob("[0-9]*"):
-        pid = int(folder.name)
-        if alive(pid) and stat(pid)[1] == str(os.getpid()):
-            yield pid
-
-
 @pytest.mark.parametrize("number", [signal.SIGSTOP, signal.SIGKILL])
 def test_a_fork_server_that_fails_kills_no_child_and_is_replaced(crew: ChildProcesses, number: signal.Signals) -> None:
     """What a stopped one forks too late ends."""
     first = crew.forks.pid
     sensors = started(crew, "sensors", "sleeps")
     os.kill(first, number)
-    plant = started(crew, "plant", "sleeps")  # spawned
+    plant = started(crew, "plant", "sleeps")
+    spawned = plant.pid
     assert stat(plant.pid)[1] == str(os.getpid())
     crew.forks.load()
     until(crew.forks.is_loaded)
     assert crew.forks.pid != first
     plant.kill()
-    crew.restart("plant", b"")
+    plant.start()
     assert [child.exit_code() for child in crew.by_name.values()] == [None, None]
-    ours = {sensors.pid, crew.by_name["plant"].pid, crew.forks.pid}
-    until(lambda: not {first, plant.pid} & set(own_children()) and ours <= set(own_children()))
+    assert {sensors.pid, plant.pid, crew.forks.pid} <= children_of(os.getpid()).keys()
+    until(lambda: not {first, spawned} & children_of(os.getpid()).keys())
 
 
 SUPERVISOR = f"""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import subprocess
 import sys
@@ -31,40 +32,43 @@ def found_s(lacked_s: Callable[[], float], until_s: float, *, heart: HangDetecto
     return None
 
 
-def test_a_process_without_a_first_heartbeat_is_not_hung() -> None:
-    assert not HangDetector(never).hung(1e9)
+@pytest.mark.parametrize(
+    ("lacked_s", "found_after_s"),
+    [
+        (0.0, 0.55),
+        (math.inf, None),  # a process without a processor
+        (0.2, None),  # several threads waited
+        (0.5 * TICK_S, 0.8),  # it had one half of the time
+    ],
+)
+def test_silence_with_a_processor_for_longer_than_the_patience_is_a_hang(
+    lacked_s: float, found_after_s: float | None
+) -> None:
+    found = found_s(lambda: lacked_s, 60.0)
+    assert found is None if found_after_s is None else found == pytest.approx(3.0 + found_after_s, abs=0.06)
 
 
-def test_silence_for_longer_than_the_patience_is_a_hang_and_not_before() -> None:
-    assert found_s(never, 9.0) == pytest.approx(3.55, abs=0.06)
-
-
-def test_a_heartbeat_ends_the_silence_and_a_delayed_one_does_not_replace_a_newer_one() -> None:
+def test_a_process_before_its_first_heartbeat_or_after_the_end_of_its_loop_is_not_hung() -> None:
     heart = HangDetector(never)
-    assert found_s(never, 3.45, heart=heart) is None
-    heart.beat(3.47)
-    heart.beat(1.0)
-    assert heart.last_s == 3.47
-    assert [heart.hung(3.5 + k * TICK_S) for k in range(11)] == [*[False] * 10, True]
-
-
-def test_a_process_whose_loop_has_ended_is_not_hung() -> None:
-    heart = HangDetector(never)
+    assert not heart.hung(1e9)
     heart.end()
     assert found_s(never, 9.0, heart=heart) is None
 
 
-def test_a_late_supervisor_restarts_the_timeout_of_every_process() -> None:
-    """The machine was suspended for ten seconds."""
+@pytest.mark.parametrize(
+    ("at_s", "ticks"),
+    [
+        (3.0, 12),
+        (13.02, 12),  # the machine was suspended for ten seconds: the timeout begins anew
+    ],
+)
+def test_a_heartbeat_or_a_late_supervisor_restarts_the_timeout(at_s: float, ticks: int) -> None:
+    """A delayed heartbeat does not replace a newer one."""
     heart = HangDetector(never)
     assert found_s(never, 3.0, heart=heart) is None
-    assert [heart.hung(13.02 + k * TICK_S) for k in range(13)] == [*[False] * 11, True, True]
-
-
-def test_a_process_without_a_processor_is_not_hung_and_one_that_has_it_half_of_the_time_is_found_later() -> None:
-    assert found_s(lambda: float("inf"), 60.0) is None
-    assert found_s(lambda: 0.2, 60.0) is None  # several threads waited
-    assert found_s(lambda: 0.5 * TICK_S, 60.0) == pytest.approx(3.8, abs=0.06)
+    heart.beat(1.0)
+    assert heart.last_s == 3.0
+    assert [heart.hung(at_s + k * TICK_S) for k in range(ticks)] == [*[False] * (ticks - 1), True]
 
 
 SPIN = "import os, time; os.sched_setaffinity(0, {one}); t = time.time() + 0.6\nwhile time.time() < t: pass\n"

@@ -44,19 +44,13 @@ def test_an_edit_of_a_source_is_not_compiled_yet(cache: Path, monkeypatch: pytes
 
 
 @pytest.mark.usefixtures("cache")
-def test_a_part_that_fails_leaves_the_cache_unmarked(
-    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(("scenario", "warm"), [("no-such-scenario", False), ("descent", True)])
+def test_the_cache_is_marked_where_every_part_is_compiled(
+    scenario: str, warm: bool, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """The part uses the real cache, which is full: the bar does not end at half."""
     for name in ("solver", "controller"):
         monkeypatch.delitem(jit_cache.PARTS, name)
-    assert jit_cache.main(["no-such-scenario"]) != 0
-    assert not jit_cache.is_warm()
-    assert "no-such-scenario" in capfd.readouterr().err
-
-
-@pytest.mark.usefixtures("cache")
-def test_where_every_part_is_compiled_the_cache_is_marked() -> None:
-    """The parts use the real cache, which is full: the bar does not end at half."""
-    assert jit_cache.main(["descent"]) == 0
-    assert jit_cache.is_warm()
+    assert (jit_cache.main([scenario]) == 0) == warm == jit_cache.is_warm()
+    assert ("no-such-scenario" in capfd.readouterr().err) != warm
     assert sum(path.stat().st_size for path in CACHE.glob("*/*.nbc")) > 0.85 * jit_cache.MACHINE_CODE_BYTES

@@ -23,14 +23,13 @@ from msgspec import structs
 
 from ltv_mpc.currents import read_prior
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.messages import ControllerState, EstimatorState, Kill, NodeStatus, Plan, RunEvent, StepRecord, Truth
+from ltv_mpc.messages import ControllerState, EstimatorState, Kill, Plan, RunEvent, StepRecord, Truth
 from services.bus.options import BusOptions
 from services.bus.outbox import Outbox
 from services.bus.session import open_session
 from services.bus.topics import OPERATOR
 from services.cli.app import run as cli
 from services.recording import info
-from services.recording.loss_accounting import LossAccounting
 from services.recording.reader import Recording
 from services.replay import replay
 from services.run import folder
@@ -38,6 +37,7 @@ from services.run.run_config import Override, RunConfig, resolve
 from services.runtime.stopping import StopRequest, hang_up_with_stderr, stop_on_signals
 from services.supervisor import jit_cache, loopback, supervisor
 from services.supervisor.screen import LiveView
+from tests.procfs import alive, children_of, pid_of
 from tests.waiting import PATIENCE_S, until
 
 CLI = [sys.executable, "-P", "-m", "services.cli"]
@@ -106,48 +106,10 @@ def run_config(duration_s: float, *more: str) -> RunConfig:
     return resolve("descent", [Override("test", settings)])
 
 
-def children_of(parent: int) -> dict[int, str]:
-    """Return pid and command line of every living child.
-
-    Multiprocessing's resource tracker, which other tests leave to a test worker, does not belong to the supervisor.
-    """
-    children = {}
-    for entry in Path("/proc").iterdir():
-        try:
-            if entry.name.isdigit() and int((entry / "stat").read_text().rpartition(")")[2].split()[1]) == parent:
-                children[int(entry.name)] = (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode()
-        except OSError:
-            continue
-    return {pid: words for pid, words in children.items() if words and "multiprocessing.resource_tracker" not in words}
-
-
-def pid_of(name: str, launcher: int) -> int:
-    """Return the pid of a run's process, by its process name."""
-    (pid,) = (pid for pid in children_of(launcher) if Path(f"/proc/{pid}/comm").read_text() == f"ltv-{name}\n")
-    return pid
-
-
-def alive(pid: int) -> bool:
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except OSError:
-        return False
-
-
-def recorded(path: Path) -> tuple[Recording, dict[str, int], dict[str, int]]:
-    """Return the recording, its message counts by key, and the losses by key and by node."""
-    recording, count, losses = Recording(path), dict[str, int](), LossAccounting()
-    promised: dict[int, tuple[str, int]] = {}
-    of_epoch: dict[int, int] = {}
-    for message in recording:
-        epoch = message.plain["epoch"]
-        count[message.key] = count.get(message.key, 0) + 1
-        of_epoch[epoch] = of_epoch.get(epoch, 0) + 1
-        losses.add(message.key, epoch, message.plain["sequence"])
-        if message.kind is NodeStatus and message.plain["finished"]:
-            promised[epoch] = message.plain["node"], message.plain["published"]
-    missing = {node: published - of_epoch[epoch] for epoch, (node, published) in promised.items()}
-    return recording, count, losses.by_key() | {node: gap for node, gap in missing.items() if gap}
+def recorded(path: Path) -> tuple[info.Info, dict[str, info.Key]]:
+    """Return the figures of a recording, and those of each key."""
+    found = info.read([path])
+    return found, {key.key: key for key in found.keys}
 
 
 def dives(recording: Path) -> bool:
@@ -208,16 +170,15 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> WatchedRun:
 def test_a_run_of_processes_records_every_message_and_leaves_no_process(whole: WatchedRun) -> None:
     run, outcome, screen, _, children_left = whole
     assert (outcome.completed, outcome.exit_code, outcome.why) == (True, 0, ""), (outcome, screen.said)
-    recording, count, missing = recorded(run.recording)
-    assert not recording.cut
-    assert not missing
+    found, keys = recorded(run.recording)
+    assert (found.whole, found.missing) == (True, 0)
     assert "none lost" in (run.path / "logs" / "recorder.log").read_text()
     steps: Counter[str] = Counter()
-    for message in recording:
+    for message in Recording(run.recording):
         if message.kind is StepRecord:
             steps[message.plain["node"]] += len(message.plain["steps"])
-    assert (count["world/truth"], steps["plant"]) == (901, 181)
-    assert count["plan"] == count["timing"]
+    assert (keys["world/truth"].messages, steps["plant"]) == (901, 181)
+    assert keys["plan"].messages == keys["timing"].messages
     assert outcome.summary is not None
     assert run.summary.exists()
     assert outcome.summary.messages.dropped == outcome.summary.messages.rejected == 0
@@ -441,10 +402,9 @@ def test_ctrl_c_ends_everything_in_order_and_leaves_a_valid_recording(
     until(lambda: not any(alive(pid) for pid in pids))
     assert process.wait(PATIENCE_S) == 130  # after the summary of what there is
     assert json.loads((out / "summary.json").read_text())["duration_s"] < 200.0
-    recording, count, missing = recorded(out / "run.mcap")
-    assert not recording.cut
-    assert not missing
-    assert count["world/truth"] > 0
+    found, keys = recorded(out / "run.mcap")
+    assert (found.whole, found.missing) == (True, 0)
+    assert keys["world/truth"].messages > 0
 
 
 def test_a_deleted_folder_ends_the_run_with_exit_1_and_its_name(tmp_path: Path) -> None:
@@ -499,7 +459,7 @@ def test_a_killed_supervisor_leaves_no_orphan_and_the_recorder_completes_its_fil
     os.kill(pid_of("estimator", process.pid), signal.SIGSTOP)
     process.kill()
     until(lambda: not any(alive(pid) for pid in pids))
-    assert not recorded(out / "run.mcap")[0].cut
+    assert recorded(out / "run.mcap")[0].whole
 
 
 def test_nodes_started_in_the_wrong_order_name_what_they_wait_for_and_continue(tmp_path: Path, free_port: int) -> None:
@@ -534,9 +494,10 @@ def test_nodes_started_in_the_wrong_order_name_what_they_wait_for_and_continue(t
             if process.poll() is None:
                 process.kill()
             process.wait()
-    recording, count, missing = recorded(tmp_path / "run" / "run.mcap")
-    assert not recording.cut
+    found, keys = recorded(tmp_path / "run" / "run.mcap")
+    assert found.whole
     # Processes may have published their status and their settings before the recorder was there.
-    assert all(key.startswith(("status/", "settings/")) or key == "controller/status" for key in missing if "/" in key)
-    assert count["world/truth"] == 201
-    assert count["plan"] > 0
+    late = {name for name, key in keys.items() if key.missing and "/" in name}
+    assert all(name.startswith(("status/", "settings/")) or name == "controller/status" for name in late)
+    assert keys["world/truth"].messages == 201
+    assert keys["plan"].messages > 0

@@ -29,9 +29,9 @@ from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.solvers import make, riccati
 from ltv_mpc.control.solvers.sparse import LOWER, SparseLayout
 from ltv_mpc.control.solvers.sweep import Sweep
+from ltv_mpc.geofence.allowed_path import NO_ZONES
 from ltv_mpc.geofence.fence import Fence
 from ltv_mpc.geofence.half_planes import ROWS
-from ltv_mpc.geofence.routes import NO_ZONES
 from ltv_mpc.geofence.zones import pack_zones
 from ltv_mpc.messages import Array, SolveStatus
 from tests.ltv_mpc.control.fence_scenes import SMALL, STAGES, scene

@@ -7,21 +7,14 @@ import pytest
 from ltv_mpc.localisation.adaptive.failure_signatures import MAX_SD, FailureSignatures
 from ltv_mpc.localisation.adaptive.glr_detector import STEP_NS, STEPS
 from ltv_mpc.localisation.adaptive.process_noise import AdaptiveProcessNoise, NoiseLevel
-from ltv_mpc.localisation.config import EstimatorConfig
-from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.filter.state import VELOCITY, Belief, Layout
 from ltv_mpc.localisation.filter.update import HEADING, correct, heading_coupling
-from ltv_mpc.localisation.sensor_config import SensorConfig
-from ltv_mpc.localisation.sensors.adcp import beam_directions
 from ltv_mpc.localisation.sensors.sensor import Rows
 from ltv_mpc.messages import AdcpPing
-from tests.stepping import feed
+from tests.ltv_mpc.localisation.dives import CONFIG, PAPER, Run, S, dive, with_water
 
-PAPER = SensorConfig.load("paper")
-CONFIG = EstimatorConfig()
 LAYOUT = Layout.of(PAPER, CONFIG)
 N, K = LAYOUT.size, 6
-SECOND = 1_000_000_000
 
 
 @pytest.fixture
@@ -36,8 +29,8 @@ def belief():
     return belief
 
 
-def rows_touching(states, m, seed=1):
-    rng = np.random.default_rng(seed)
+def rows_touching(states, m):
+    rng = np.random.default_rng(1)
     state = np.array([rng.choice(states, 6, replace=False) for _ in range(m)])
     return Rows(state, rng.standard_normal((m, 6)), 0.1 * rng.standard_normal(m), rng.uniform(0.1, 2.0, m))
 
@@ -50,15 +43,15 @@ def test_a_correction_moves_them_by_the_textbooks_gain_and_hears_their_scores(be
     if m > 1:
         rows.residual[1], gate = 1e3, 1e3
     counts = np.arange(m) != 1
-    H, S = rows.dense(N)[counts], np.diag(rows.variance[counts])
+    H, noise = rows.dense(N)[counts], np.diag(rows.variance[counts])
     E, before = belief.signatures.error.copy(), belief.signatures.score.copy()
-    S = H @ belief.P @ H.T + S
-    gain = np.linalg.solve(S, H @ belief.P).T
+    innovation = H @ belief.P @ H.T + noise
+    gain = np.linalg.solve(innovation, H @ belief.P).T
     assert list(correct(belief, rows, gate).accepted) == list(counts)
     M = np.eye(N)
     M[:, HEADING] += heading_coupling(belief.x, LAYOUT)
     np.testing.assert_allclose(belief.signatures.error, M @ (E - gain @ H @ E), atol=1e-10)
-    seen = np.linalg.solve(S, H @ E)
+    seen = np.linalg.solve(innovation, H @ E)
     np.testing.assert_allclose(belief.signatures.information, (H @ E).T @ seen, atol=1e-10)
     np.testing.assert_allclose(belief.signatures.score - before, seen.T @ rows.residual[counts], atol=1e-10)
 
@@ -82,41 +75,26 @@ def test_the_antennas_clone_is_wrong_by_what_position_and_attitude_are(belief):
     np.testing.assert_allclose(belief.P, belief.signatures.error @ belief.signatures.error.T, atol=1e-14)
 
 
-def drifting(dive, slope_mps2, from_s, until_s):
-    """Return the messages of the dive if the current at all depths drifts, north and east."""
-    beams = beam_directions(PAPER.adcp.beam_angle_rad)
-    out = []
-    for message in dive.messages:
-        if isinstance(message, AdcpPing):
-            u = beams @ dive.R[dive.at(message.t_ns)].T
-            moved = slope_mps2 * np.clip(message.t_ns * 1e-9 - from_s, 0.0, until_s - from_s)
-            more = np.repeat((u[:, :1] + u[:, 1:2]) * moved, message.beam_velocity_mps.shape[1], axis=1)
-            message = msgspec.structs.replace(message, beam_velocity_mps=message.beam_velocity_mps + more)
-        out.append(message)
-    return out
-
-
-def test_a_filter_that_hears_a_drift_is_off_by_what_its_signature_says(make_dive, inbox_of, monkeypatch):
+def test_a_filter_that_hears_a_drift_is_off_by_what_its_signature_says(monkeypatch):
     """Moved, corrected by all sensors, its window gone on: by 2 % of it. It goes on from one instant of the grid to
     another; nothing is gated or granted.
     """
     monkeypatch.setattr(AdaptiveProcessNoise, "detect_onset", lambda *_: None)
     monkeypatch.setattr(AdaptiveProcessNoise, "required_level", lambda *_: NoiseLevel.NONE)
     config = msgspec.structs.replace(CONFIG, gate_probability=1.0, kept_m=0.0, deepest_m=100.0)
-    dive = make_dive(PAPER, 43, duration_s=40.0)
+    of = dive(PAPER, 43, duration_s=40.0)
 
     def belief_of(messages):
-        estimator = Estimator(PAPER, config)
-        feed(estimator, [(message.t_ns, inbox_of(message)) for message in messages])
-        return estimator.filter.propagated_belief()
+        return Run(messages, PAPER, config).estimator.filter.propagated_belief()
 
     def instant(t_s):
         """Return the value at the first ping of the grid's step that begins then."""
-        return next(m.t_ns for m in dive.messages if isinstance(m, AdcpPing) and m.t_ns >= t_s * SECOND)
+        return next(m.t_ns for m in of.messages if isinstance(m, AdcpPing) and m.t_ns >= t_s * S)
 
     began_ns, ended_ns, nu = instant(18.0), instant(30.0), 5e-3
-    without = belief_of(dive.messages)
-    with_drift = belief_of(drifting(dive, nu, began_ns * 1e-9, ended_ns * 1e-9))
+    without = belief_of(of.messages)
+    from_s, until_s = began_ns * 1e-9, ended_ns * 1e-9
+    with_drift = belief_of(with_water(of, lambda t_s, z: nu * np.clip(t_s - from_s, 0.0, until_s - from_s) + 0.0 * z))
     assert without.column.first > 0  # its window has gone on
     a, b = (2 * (t_ns // STEP_NS % STEPS) for t_ns in (began_ns, ended_ns))
     D = np.zeros((2 * STEPS, 2))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, kstest
 
-from ltv_mpc.localisation.adaptive.innovation_tests import FALSE_ALARM, MAX_SD, InnovationMeanTest, threshold
+from ltv_mpc.localisation.adaptive.innovation_tests import MAX_SD, InnovationMeanTest, threshold
 
 SECOND = 1_000_000_000
 TAU_S = (1.0, 3.0, 10.0)
@@ -23,7 +23,7 @@ def heard(rng, messages=60, mean=(0.0, 0.0), V_of=lambda _: V):
 def test_white_innovations_have_their_chi_square_at_every_time_constant():
     """The variance may change over time."""
     rng = np.random.default_rng(0)
-    draws = np.array([heard(rng, V_of=lambda k: V * (1 + k % 7)).chi_square() for _ in range(600)])
+    draws = np.array([heard(rng, V_of=lambda k: V * (1 + k % 7)).chi_square() for _ in range(300)])
     for one in draws.T:
         assert kstest(one, chi2(2).cdf).pvalue > 1e-3
 
@@ -45,36 +45,9 @@ def test_one_wrong_message_does_not_exceed_the_threshold_and_two_do():
     assert (sums.chi_square() > threshold(2)).all()
 
 
-def test_the_threshold_has_its_false_alarm_probability():
-    assert chi2.sf(threshold(2), 2) == pytest.approx(FALSE_ALARM)
-    assert chi2.sf(threshold(1), 1) == pytest.approx(FALSE_ALARM)
-
-
 def test_a_copy_is_independent():
     sums = heard(np.random.default_rng(2))
     before, copy = sums.chi_square(), sums.copy()
     copy.add(21 * SECOND, np.array([0.05, 0.0]), V)
     np.testing.assert_array_equal(sums.chi_square(), before)
     assert not np.array_equal(copy.chi_square(), before)
-
-
-def test_before_the_first_message_there_is_nothing():
-    np.testing.assert_array_equal(InnovationMeanTest(TAU_S, 2).chi_square(), np.zeros(3))
-
-
-def test_nan_gives_nan_and_raises_nothing() -> None:
-    for size in (1, 2):
-        sums = InnovationMeanTest(TAU_S, size)
-        sums.add(0, np.full(size, np.nan), np.eye(size))
-        assert np.isnan(sums.chi_square()).all()
-
-
-@pytest.mark.parametrize("size", [1, 2])
-def test_the_squares_are_those_of_the_inverse(size: int) -> None:
-    rng = np.random.default_rng(3)
-    sums = InnovationMeanTest(TAU_S, size)
-    for k in range(5):
-        half = rng.normal(size=(size, size))
-        sums.add(k * 10**9, 0.1 * rng.normal(size=size), half @ half.T + np.eye(size))
-    expected = [s @ np.linalg.solve(W, s) for s, W in zip(sums.s, sums.W, strict=True)]
-    np.testing.assert_allclose(sums.chi_square(), expected, rtol=1e-10)

@@ -73,17 +73,13 @@ def test_missing_sensors_are_named():
 
 
 def test_the_belief_has_the_time_of_the_fix_and_the_measured_values():
+    """Without rotating the samples back to t0 the tilt error would be half of 0.2 s of rolling: 5 mrad."""
     belief, since = aligned([fix(), compass(), depth(), *samples()])
     assert belief.t_ns == belief.epoch_t_ns == T0
     np.testing.assert_array_equal(belief.x[:6], [3.0, -4.0, 0.25, 0.1, -0.2, 0.0])
     np.testing.assert_array_equal(belief.x[belief.layout.epoch], [3.0, -4.0])
-    assert [m.t_ns for m in since] == [T0 + k * DT_NS for k in range(1, 22)]
-
-
-def test_a_vehicle_that_rolls_is_levelled_at_the_time_of_the_fix():
-    """Without rotating the samples back to t0 the tilt error would be half of 0.2 s of rolling: 5 mrad."""
-    belief, _ = aligned([fix(), compass(), depth(), *samples()])
     np.testing.assert_allclose(roll_pitch_heading(belief.R), roll_pitch_heading(ATTITUDE_AT_T0), atol=1e-5)
+    assert [m.t_ns for m in since] == [T0 + k * DT_NS for k in range(1, 22)]
 
 
 @pytest.mark.parametrize("axis", [0, 1])
@@ -194,8 +190,8 @@ def test_position_and_velocity_are_the_origins_and_not_the_antennas():
     np.testing.assert_allclose(belief.x[belief.layout.epoch], antenna[:2])
 
 
-def test_position_errors_from_tilt_and_heading_are_in_the_covariance():
-    """Position and velocity errors from biases equal their conditional means given the biases."""
+def test_position_and_velocity_errors_from_tilt_heading_and_gyro_bias_are_in_the_covariance():
+    """They equal their conditional means given the biases; the gyros' make the velocity error R (db x l)."""
     suite = mast()
     accelerometer, compass_bias = np.array([2e-3, -3e-3, 0.0]), 4e-3
     messages = [fix(), compass(), depth(), *samples()]
@@ -206,22 +202,10 @@ def test_position_errors_from_tilt_and_heading_are_in_the_covariance():
     expected = P[:6, causes] @ np.linalg.solve(P[np.ix_(causes, causes)], [*accelerometer, compass_bias])
     np.testing.assert_allclose(true.x[:6] - belief.x[:6], expected, atol=5e-5)
     assert np.abs(expected[:2]).min() > 5e-3
-
-
-def test_a_gyro_bias_and_an_antenna_on_a_mast_make_a_velocity():
-    """The velocity error is R (db x l): covariance of the belief against that of random biases."""
-    suite = mast(antenna=(0.0, 0.0, -3.0))
-    belief, _ = aligned([fix(), compass(), depth(), *samples()], suite)
-    drawn = suite.imu.gyro_bias_sd_radps * np.random.default_rng(0).standard_normal((100_000, 3))
-    velocity = np.cross(drawn, [0.0, 0.0, -3.0]) @ belief.R.T
-    expected = velocity.T @ drawn / len(drawn)
-    np.testing.assert_allclose(belief.P[3:5, GYRO_BIAS], expected[:2], atol=3e-2 * np.abs(expected).max())
-
-
-def test_a_covariance_with_levers_is_one():
-    belief, _ = aligned([fix(), compass(), depth(), *samples()], mast())
-    np.testing.assert_array_equal(belief.P, belief.P.T)
-    assert np.linalg.eigvalsh(belief.P).min() > -1e-12  # the clone is position and attitude themselves
+    by_gyros = belief.R @ np.cross(np.eye(3), suite.gnss.lever_arm_m).T * suite.imu.gyro_bias_sd_radps**2
+    np.testing.assert_allclose(P[3:5, GYRO_BIAS], by_gyros[:2], rtol=1e-9)
+    np.testing.assert_array_equal(P, P.T)
+    assert np.linalg.eigvalsh(P).min() > -1e-12  # the clone is position and attitude themselves
 
 
 def test_sound_speed_and_mounting_start_as_the_sensors_file_has_them():

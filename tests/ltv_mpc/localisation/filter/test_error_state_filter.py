@@ -9,10 +9,10 @@ from scipy.special import chdtri
 
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter
-from ltv_mpc.localisation.filter.state import ACCELEROMETER_BIAS, Belief, Layout
+from ltv_mpc.localisation.filter.state import Belief, Layout
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.water.current_model import node_prior
-from ltv_mpc.messages import AdcpPing, CompassHeading, GnssFix, ImuSample, PressureDepth, TdcpFix
+from ltv_mpc.messages import AdcpPing, CompassHeading, ImuSample, PressureDepth, TdcpFix
 
 PAPER = SensorConfig.load("paper")
 DT = 0.01
@@ -31,76 +31,6 @@ def batch(unknowns, rows, right, sd):
     solution = np.linalg.lstsq(A, np.array(right) / np.array(sd), rcond=None)[0]
     assert A.shape[1] == unknowns
     return solution, np.linalg.inv(A.T @ A)
-
-
-def test_inertial_and_satellite_measurements_are_weighted_as_least_squares_does():
-    """Level, attitude known. Unknowns along one axis: p0, v0, b0 and each sample's velocity noise and bias step.
-
-    v[k+1] = v[k] + dt (f[k] - b[k]) + w[k],  p[k+1] = p[k] + dt (v[k] + v[k+1]) / 2,  b[k+1] = a b[k] + d[k]
-    """
-    imu = msgspec.structs.replace(
-        PAPER.imu, gyro_bias_sd_radps=0.0, angle_random_walk_rad_per_rts=0.0, accelerometer_bias_tau_s=0.4
-    )
-    suite = msgspec.structs.replace(
-        PAPER,
-        imu=msgspec.structs.replace(imu, velocity_random_walk_mps_per_rts=0.05, accelerometer_bias_sd_mps2=0.2),
-        gnss=msgspec.structs.replace(PAPER.gnss, position_sd_m=0.5, velocity_sd_mps=0.1),
-        tdcp=msgspec.structs.replace(PAPER.tdcp, displacement_sd_m=0.01),
-    )
-    rng = np.random.default_rng(0)
-    steps, sd0 = 100, np.array([2.0, 0.7, 0.2])
-    layout = Layout.of(suite, CONFIG)
-    belief = Belief.blank(layout, 0)
-    for i, sd in enumerate(sd0):
-        belief.P[3 * i if i < 2 else 12, 3 * i if i < 2 else 12] = sd**2
-    belief.clone_position()
-    filter_ = ErrorStateFilter(suite, CONFIG, belief)
-
-    a = math.exp(-DT / 0.4)
-    unknowns = 3 + 2 * steps
-    rows, right, sds = [], [], []
-
-    def add(row, value, sd):
-        rows.append(row)
-        right.append(value)
-        sds.append(sd)
-
-    # p, v, b as rows over the unknowns, and their parts that the measured force determines
-    p, v, b = (np.eye(unknowns)[i] for i in range(3))
-    p_known = v_known = 0.0
-    for i in range(3):
-        add(np.eye(unknowns)[i], 0.0, sd0[i])
-    epoch, epoch_known, epoch_ns = p.copy(), 0.0, 0
-    for k in range(1, steps + 1):
-        f = rng.standard_normal()
-        filter_.advance(k * DT_NS, sample(k, (f, 0.0, -9.80665)))
-        w, d = np.eye(unknowns)[1 + 2 * k], np.eye(unknowns)[2 + 2 * k]
-        add(w, 0.0, 0.05 * math.sqrt(DT))
-        add(d, 0.0, 0.2 * math.sqrt(1 - a * a))
-        v_new, v_new_known = v - DT * b + w, v_known + DT * f
-        p, p_known = p + 0.5 * DT * (v + v_new), p_known + 0.5 * DT * (v_known + v_new_known)
-        v, v_known, b = v_new, v_new_known, a * b + d
-        if k % 20 == 0:
-            z = rng.standard_normal(3)
-            fix = GnssFix(
-                t_ns=k * DT_NS, north_m=float(z[0]), east_m=0.0, velocity_north_mps=float(z[1]), velocity_east_mps=0.0
-            )
-            step = TdcpFix(t_ns=k * DT_NS, from_t_ns=epoch_ns, north_m=float(0.1 * z[2]), east_m=0.0)
-            # whichever comes first, the change of position is taken from the epoch before
-            for message in (fix, step) if k % 40 == 0 else (step, fix):
-                filter_.correct(message)
-            add(p, z[0] - p_known, 0.5)
-            add(v, z[1] - v_known, 0.1)
-            add(p - epoch, 0.1 * z[2] - (p_known - epoch_known), 0.01)
-            epoch, epoch_known, epoch_ns = p.copy(), p_known, k * DT_NS
-    assert filter_.account["tdcp.used"] == 10
-    solution, covariance = batch(unknowns, rows, right, sds)
-    x, P = filter_.belief.x, filter_.belief.P
-    expected = np.array([p @ solution + p_known, v @ solution + v_known, b @ solution])
-    T = np.array([p, v, b])
-    at = [0, 3, ACCELEROMETER_BIAS.start]
-    np.testing.assert_allclose(x[at], expected, rtol=1e-8)
-    np.testing.assert_allclose(P[np.ix_(at, at)], T @ covariance @ T.T, rtol=1e-8)
 
 
 def test_profiles_of_water_are_weighted_as_least_squares_does():

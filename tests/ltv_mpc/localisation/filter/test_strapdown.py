@@ -70,16 +70,6 @@ def test_integration_follows_the_continuous_equations():
     np.testing.assert_allclose(rotation_log(R @ exact[6:].reshape(3, 3).T), 0, atol=2e-5)
 
 
-def test_a_bias_decays_with_its_time_constant():
-    x, R = start()
-    before = x.copy()
-    noise = NOISE.copy()
-    noise[3], noise[5] = 2.0, 5.0
-    run(x, R, [RATE] * 100, [FORCE] * 100, noise=noise)
-    np.testing.assert_allclose(x[9:12], np.exp(-1 / 2.0) * before[9:12], rtol=1e-12)
-    np.testing.assert_allclose(x[12:15], np.exp(-1 / 5.0) * before[12:15], rtol=1e-12)
-
-
 def test_the_accumulated_transition_is_the_derivative_of_the_integration():
     """Central differences of 40 samples, errors as in state.py; what differs is of third order in the interval."""
     steps, dt, h = 40, 0.001, 1e-5

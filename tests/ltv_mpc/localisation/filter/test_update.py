@@ -8,7 +8,7 @@ import pytest
 from ltv_mpc.frames import rotation
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter
-from ltv_mpc.localisation.filter.state import ATTITUDE, Belief, Layout
+from ltv_mpc.localisation.filter.state import Belief, Layout
 from ltv_mpc.localisation.filter.update import HEADING, correct, heading_coupling, reduce_covariance
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors.sensor import Rows
@@ -37,7 +37,7 @@ def random_rows(m, seed=1):
     return Rows(state, partial, 0.1 * rng.standard_normal(m), rng.uniform(0.1, 2.0, m))
 
 
-@pytest.mark.parametrize("m", [1, 2, 4, 5, 60, 120])
+@pytest.mark.parametrize("m", [1, 5, 120])
 def test_an_update_is_the_textbooks(belief, m):
     """K = P H^T (H P H^T + R)^-1 and Joseph form, followed by the invariant correction."""
     rows, P = random_rows(m), belief.P.copy()
@@ -54,20 +54,6 @@ def test_an_update_is_the_textbooks(belief, m):
     np.testing.assert_allclose(belief.P, expected, atol=1e-11)
     np.testing.assert_array_equal(belief.P, belief.P.T)
     np.testing.assert_allclose(correction.S, H @ P @ H.T + R, rtol=1e-12, atol=1e-13)
-
-
-def test_all_rows_at_once_are_the_same_as_one_after_another(belief):
-    """Exact for a known heading; otherwise the result depends on the intermediate estimates."""
-    belief.P[8, :] = belief.P[:, 8] = 0
-    rows, one_by_one = random_rows(40), belief.copy()
-    correct(belief, rows, OPEN)
-    for i in range(40):
-        k = slice(i, i + 1)
-        done = rows.partial[k] @ one_by_one.x[rows.state[i]]  # rows are linear: the residual of now
-        correct(one_by_one, Rows(rows.state[k], rows.partial[k], rows.residual[k] - done, rows.variance[k]), OPEN)
-    linear = np.delete(np.arange(LAYOUT.size), np.arange(ATTITUDE.start, ATTITUDE.stop))
-    np.testing.assert_allclose(one_by_one.x[linear], belief.x[linear], atol=1e-10)
-    np.testing.assert_allclose(one_by_one.P, belief.P, atol=1e-10)
 
 
 def test_a_row_beyond_the_gate_changes_nothing(belief):
@@ -104,20 +90,7 @@ def test_a_deweighted_row_is_used_with_the_noise_that_makes_it_just_pass(belief,
     np.testing.assert_allclose(belief.P, other.P, atol=1e-12)
 
 
-def test_no_deweighted_row_moves_the_estimate_by_more_than_one_that_passes(belief):
-    row, moved = random_rows(1), []
-    S = correct(belief.copy(), row, OPEN).S[0, 0]
-    for deviations in (2.999, 3.001, 4.0, 5.999, 6.001):
-        row.residual[:] = deviations * np.sqrt(S)
-        after = belief.copy()
-        correct(after, row, 9.0, 36.0)
-        moved.append(np.abs(after.x - belief.x).max())
-    assert moved[0] == pytest.approx(moved[1], rel=1e-2)
-    assert moved[1] > moved[2] > moved[3] > 0.0
-    assert moved[4] == 0.0
-
-
-@pytest.mark.parametrize("m", [1, 3, 20])
+@pytest.mark.parametrize("m", [1, 20])
 def test_an_indefinite_covariance_is_reported_and_not_changed(belief, m):
     belief.P[:] = -10 * belief.P
     before = belief.copy()
@@ -126,23 +99,6 @@ def test_an_indefinite_covariance_is_reported_and_not_changed(belief, m):
     assert not correction.accepted.any()
     np.testing.assert_array_equal(belief.P, before.P)
     np.testing.assert_array_equal(belief.x, before.x)
-
-
-@pytest.mark.parametrize("m", [0, 1, 3, 9])
-def test_the_updated_covariance_is_bitwise_symmetric(m):
-    """The update is exact for few rows and for many."""
-    rng = np.random.default_rng(m)
-    n = LAYOUT.size
-    root, W, a = rng.standard_normal((n, n)), 0.01 * rng.standard_normal((m, n)), rng.standard_normal(n)
-    a[HEADING] = 0
-    P = root @ root.T
-    P = 0.5 * (P + P.T)
-    M = np.eye(n)
-    M[:, HEADING] += a
-    expected = M @ (P - W.T @ W) @ M.T
-    reduce_covariance(P, W, a)
-    np.testing.assert_allclose(P, expected, rtol=1e-10, atol=1e-9)
-    np.testing.assert_array_equal(P, P.T)
 
 
 def turn(x):

@@ -26,3 +26,9 @@ EVERY_SENSOR = msgspec.structs.replace(
     ),
     usbl=Usbl(**UNDISTURBED, latency_ns=0, ship_m=(0.0, 0.0), position_sd_m=1.0, bearing_sd_rad=0.0, outlier_m=0.0),
 )
+
+
+def with_settings(sensors, **tables):
+    """Return the sensors with settings changed, by sensor."""
+    changed = {name: msgspec.structs.replace(getattr(sensors, name), **values) for name, values in tables.items()}
+    return msgspec.structs.replace(sensors, **changed)

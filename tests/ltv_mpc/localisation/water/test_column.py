@@ -21,15 +21,15 @@ def test_a_new_grid_point_is_conditioned_on_its_neighbour_and_the_common_part(no
     C = P[0, 0] - A @ P[1:, 0]
     link = prior.link(node, neighbour, walked)
     for axis in range(2):
-        np.testing.assert_allclose(link.A[axis, [axis, 2 + axis]], A)
-        np.testing.assert_allclose(link.A[axis, [1 - axis, 3 - axis]], 0)
-        assert link.c[axis] == mean[k, axis]
-        np.testing.assert_allclose(link.then[[axis, 2 + axis]], [mean[i, axis], 0])
-    np.testing.assert_allclose(link.C, C * np.eye(2), atol=1e-15)
-    assert link.walked == walked
+        np.testing.assert_allclose(link.regression[axis, [axis, 2 + axis]], A)
+        np.testing.assert_allclose(link.regression[axis, [1 - axis, 3 - axis]], 0)
+        assert link.velocity_mps[axis] == mean[k, axis]
+        np.testing.assert_allclose(link.conditioning_states[[axis, 2 + axis]], [mean[i, axis], 0])
+    np.testing.assert_allclose(link.covariance, C * np.eye(2), atol=1e-15)
+    assert link.walk_variance_m2ps2 == walked
 
 
 def test_certain_water_depends_on_nothing():
     link = NodePrior.certain(3).link(1, 0, 0.0)
-    np.testing.assert_array_equal(link.A, [[0, 0, 1, 0], [0, 0, 0, 1]])
-    np.testing.assert_array_equal(link.C, np.zeros((2, 2)))
+    np.testing.assert_array_equal(link.regression, [[0, 0, 1, 0], [0, 0, 0, 1]])
+    np.testing.assert_array_equal(link.covariance, np.zeros((2, 2)))

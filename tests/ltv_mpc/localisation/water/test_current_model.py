@@ -22,23 +22,12 @@ def prior(config=CONFIG):
     return belief
 
 
-def test_the_prior_is_what_a_simulated_gauss_markov_profile_of_unknown_mean_has():
-    """Sample covariance of 40,000 profiles drawn cell by cell from c[k+1] = a c[k] + w."""
-    rng = np.random.default_rng(0)
-    count = 40_000
-    a = math.exp(-1.0 / CONFIG.current_correlation_length_m)
-    c = np.empty((30, count))
-    c[0] = CONFIG.current_sd_mps * rng.standard_normal(count)
-    for k in range(29):
-        c[k + 1] = a * c[k] + CONFIG.current_sd_mps * math.sqrt(1 - a * a) * rng.standard_normal(count)
-    c += CONFIG.current_mean_sd_mps * rng.standard_normal(count)
-    north = prior().P[LAYOUT.north, LAYOUT.north]
-    variance = CONFIG.current_sd_mps**2 + CONFIG.current_mean_sd_mps**2
-    np.testing.assert_allclose(np.cov(c), north[:30, :30], atol=0.03 * variance)
-
-
-def test_north_and_east_are_alike_and_independent():
-    P = prior().P
+def test_the_prior_is_that_of_a_gauss_markov_profile_of_unknown_mean_north_and_east_alike():
+    """var of c[k+1] = a c[k] + w, which is stationary, plus that of the mean."""
+    P, z = prior().P, grid(CONFIG)
+    rho = math.exp(-1.0 / CONFIG.current_correlation_length_m)
+    expected = CONFIG.current_sd_mps**2 * rho ** np.abs(z[:, None] - z) + CONFIG.current_mean_sd_mps**2
+    np.testing.assert_allclose(P[LAYOUT.north, LAYOUT.north], expected)
     np.testing.assert_array_equal(P[LAYOUT.north, LAYOUT.north], P[LAYOUT.east, LAYOUT.east])
     assert not P[LAYOUT.north, LAYOUT.east].any()
 

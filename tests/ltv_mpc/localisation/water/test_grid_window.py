@@ -1,40 +1,25 @@
 """Moving window of the depth grid against a filter that keeps every depth, and the links of dropped depths."""
 
 import dataclasses
-import itertools
 
 import msgspec
 import numpy as np
 import pytest
 
 from ltv_mpc.localisation.adaptive.failure_signatures import FailureSignatures
-from ltv_mpc.localisation.config import EstimatorConfig
-from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter
 from ltv_mpc.localisation.filter.state import Belief, Layout, reach_m
-from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.water.current_model import add_random_walk, node_prior, write_prior
 from ltv_mpc.localisation.water.grid_window import conditioning_states, link_covariance, move_window
-from ltv_mpc.messages import AdcpPing, Estimate
-from tests.stepping import feed_each
+from ltv_mpc.messages import AdcpPing
+from tests.ltv_mpc.localisation.dives import CONFIG, PAPER, REALISTIC, Run, dive
+from tests.ltv_mpc.localisation.sensors.every_sensor import with_settings
 
-WHOLE = msgspec.structs.replace(EstimatorConfig(), adapts_to_water=False)
+WHOLE = msgspec.structs.replace(CONFIG, adapts_to_water=False)
 WINDOW = msgspec.structs.replace(WHOLE, kept_m=0.0)
 
 
-def short_sighted(name, range_m):
-    suite = SensorConfig.load(name)
-    return msgspec.structs.replace(suite, adcp=msgspec.structs.replace(suite.adcp, range_m=range_m))
-
-
-SUITE = short_sighted("realistic", 7.0)
-QUIET = {
-    "senses_earth_rate": False,
-    "gyro_bias_sd_radps": 0.0,
-    "angle_random_walk_rad_per_rts": 1e-9,
-    "accelerometer_bias_tau_s": 1e9,
-}
-"""The inertial unit of ``make_yoyo``, which holds the vehicle level."""
+SUITE = with_settings(REALISTIC, adcp={"range_m": 7.0})
 LEVEL = msgspec.structs.replace(SUITE.adcp, lever_arm_m=(0.0, 0.0, 0.0))
 LAYOUT = Layout.of(SUITE, WINDOW)
 CELLS = LAYOUT.north.stop - LAYOUT.north.start
@@ -69,46 +54,33 @@ def test_signatures_move_with_the_window():
     assert belief.column.first > 0
 
 
-@pytest.mark.parametrize("name", ["paper", "realistic"])
-def test_a_filter_that_drops_depths_equals_one_that_keeps_them(name, make_dive, inbox_of):
-    """12 m down at 0.2 m/s with beams of 5 m: the same vehicle and the same water, to 1e-9, at every estimate."""
-    suite = short_sighted(name, 5.0)
-    dive = make_dive(suite, 4, duration_s=60.0)
-    keeps, forgets = Estimator(suite, WHOLE), Estimator(suite, WINDOW)
-    said = 0
-    due = [(message.t_ns, inbox_of(message)) for message in dive.messages]
-    for whole_said, window_said in zip(feed_each(keeps, due), feed_each(forgets, due), strict=True):
-        for a, b in zip(whole_said, window_said, strict=True):
-            if not isinstance(a, Estimate):
-                continue
-            said += 1
-            for field in ("north_m", "east_m", "depth_m", "heading_rad", "velocity_north_mps", "velocity_east_mps"):
-                assert getattr(a, field) == pytest.approx(getattr(b, field), abs=1e-9)
-            np.testing.assert_allclose(b.covariance, a.covariance, rtol=1e-9, atol=1e-12)
-            shared = slice(*np.searchsorted(a.current.depth_m, [b.current.depth_m[0], b.current.depth_m[-1] + 0.5]))
-            np.testing.assert_allclose(b.current.north_mps, a.current.north_mps[shared], atol=1e-9)
-            np.testing.assert_allclose(b.current.sd_mps, a.current.sd_mps[shared], atol=1e-9)
-    assert said > 550
-    assert keeps.account == forgets.account
-    whole, window = keeps.filter.belief, forgets.filter.belief
-    assert window.column.first > 1, "or nothing was forgotten"
+@pytest.mark.parametrize("sensors", [PAPER, REALISTIC], ids=["paper", "realistic"])
+def test_a_filter_that_drops_depths_equals_one_that_keeps_them(sensors):
+    """9 m down at 0.2 m/s with beams of 5 m: the same vehicle and the same water, to 1e-9, at every estimate."""
+    sensors = with_settings(sensors, adcp={"range_m": 5.0})
+    keeps, forgets = (Run(dive(sensors, 4, duration_s=45.0).messages, sensors, config) for config in (WHOLE, WINDOW))
+    assert list(keeps.estimates) == list(forgets.estimates)
+    for a, b in zip(keeps.estimates.values(), forgets.estimates.values(), strict=True):
+        for field in ("north_m", "east_m", "depth_m", "heading_rad", "velocity_north_mps", "velocity_east_mps"):
+            assert getattr(a, field) == pytest.approx(getattr(b, field), abs=1e-9)
+        np.testing.assert_allclose(b.covariance, a.covariance, rtol=1e-9, atol=1e-12)
+        shared = slice(*np.searchsorted(a.current.depth_m, [b.current.depth_m[0], b.current.depth_m[-1] + 0.5]))
+        np.testing.assert_allclose(b.current.north_mps, a.current.north_mps[shared], atol=1e-9)
+        np.testing.assert_allclose(b.current.sd_mps, a.current.sd_mps[shared], atol=1e-9)
+    assert keeps.estimator.account == forgets.estimator.account
+    whole, window = keeps.estimator.filter.belief, forgets.estimator.filter.belief
+    assert window.column.first > 0, "or nothing was forgotten"
     assert window.layout.size < whole.layout.size / 2
     np.testing.assert_array_equal(window.P, window.P.T)
     np.testing.assert_array_equal(window.column.observed, whole.column.observed)
 
 
-def test_no_depth_of_70_m_is_dropped_with_the_shipped_settings():
-    for name in ("paper", "realistic"):
-        layout = Layout.of(SensorConfig.load(name), EstimatorConfig())
+def test_no_depth_of_70_m_is_dropped_with_the_shipped_settings_and_deeper_grids_have_no_more_states():
+    for sensors in (PAPER, REALISTIC):
+        layout = Layout.of(sensors, CONFIG)
         assert layout.north.stop - layout.north.start == layout.nodes == 71
-
-
-def test_the_state_is_as_large_for_500_m_as_for_2000_m():
-    sizes = {
-        Layout.of(SUITE, msgspec.structs.replace(EstimatorConfig(), deepest_m=deepest)).size
-        for deepest in (500.0, 2000.0)
-    }
-    assert len(sizes) == 1
+    deep = (Layout.of(SUITE, msgspec.structs.replace(CONFIG, deepest_m=deepest_m)) for deepest_m in (500.0, 2000.0))
+    assert len({layout.size for layout in deep}) == 1
 
 
 @pytest.mark.parametrize("depth_m", [0.0, 0.4, 8.0, 33.9, 61.0, 70.0])
@@ -218,7 +190,9 @@ def test_a_position_fix_removes_the_shared_error_of_dropped_depths():
         measured(belief, node, np.array([[1.0, 0, 0], [0, 0, 0]]), 1e-4, rng.standard_normal(2))
     sink(belief, 30.0)
     link = belief.column.dropped[3]
-    assert abs(link.B[0, 0]) > 0.2 * np.sqrt(link.C[0, 0] * link.S[0, 0])
+    assert abs(link.position_cross_covariance[0, 0]) > 0.2 * np.sqrt(
+        link.covariance[0, 0] * link.position_covariance[0, 0]
+    )
     belief.P[0, :] *= 1e-3  # as fixed to a thousandth of what it was
     belief.P[:, 0] *= 1e-3
     sink(belief, 0.0)
@@ -257,41 +231,12 @@ def test_a_walk_in_time_makes_a_remembered_depth_less_certain():
         link = belief.column.dropped[0]
         belief.column.walked += after_s * 1e-6
         water = conditioning_states(LAYOUT, 0) >= LAYOUT.north.start
-        assert np.abs(link.A[:, water]).max() > 0.1
+        assert np.abs(link.regression[:, water]).max() > 0.1
         np.testing.assert_allclose(
-            link_covariance(link, water, belief.column.walked) - link.C,
-            after_s * 1e-6 * (np.eye(2) + link.A[:, water] @ link.A[:, water].T),
+            link_covariance(link, water, belief.column.walked) - link.covariance,
+            after_s * 1e-6 * (np.eye(2) + link.regression[:, water] @ link.regression[:, water].T),
             atol=1e-12,
         )
         sink(belief, 0.0)
         gained.append(belief.P[LAYOUT.north.start, LAYOUT.north.start])
     assert 1e-4 < gained[1] - gained[0] < 2e-4
-
-
-def test_the_filter_is_consistent_when_it_returns_to_a_depth(make_yoyo):
-    """Down and up again, over 10 seeds: current and velocity are consistent, and better than without links."""
-    suite = msgspec.structs.replace(SUITE, adcp=LEVEL, imu=msgspec.structs.replace(SUITE.imu, **QUIET))
-    config = msgspec.structs.replace(WINDOW, gate_probability=1.0, deepest_m=40.0)
-    water, velocity, error = [], [], []
-    for seed in range(10):
-        run = make_yoyo(suite, [config, config], seed, (0.0, 25.0, 0.0), heard=forgetful())
-        remembers, forgets = (f.belief for f in run.filters)
-        north = remembers.layout.north
-        window = remembers.column.first + np.arange(north.stop - north.start)
-        nodes = window[remembers.column.observed[window]]
-        states = states_of(remembers, nodes)
-        e = np.concatenate(run.water[nodes].T) - remembers.x[states]
-        water.append(e @ np.linalg.solve(remembers.P[np.ix_(states, states)], e) / len(e))
-        v = [run.velocity[:2] - belief.x[3:5] for belief in (remembers, forgets)]
-        velocity.append(v[0] @ np.linalg.solve(remembers.P[3:5, 3:5], v[0]) / 2)
-        error.append(v)
-    assert 0.8 < np.mean(water) < 1.2
-    assert 0.5 < np.mean(velocity) < 1.6
-    with_memory, without = np.sqrt(np.mean(np.square(error), axis=(0, 2)))
-    assert with_memory < 0.8 * without
-
-
-def forgetful():
-    """Make the second filter of each pair, by order of creation, lose its links."""
-    order = itertools.count()
-    return lambda filter_: filter_.belief.column.dropped.clear() if next(order) % 2 else None

@@ -25,7 +25,7 @@ from services.edges.mavlink.codec import frames_of
 from services.edges.mavlink.edge import MavlinkEdge, Settings
 from services.edges.mavlink.mission import fence_of
 from services.edges.mavlink.navigation import Accuracy, Navigation
-from tests.foreign_plant.flight import distance_m
+from tests.foreign_plant.flight import farthest_m
 from tests.foreign_plant.mavlink_flight import EXAMPLE, MavlinkFlight, vehicle
 from tests.services.controller_status import status
 from tests.services.edges.mavlink.items import ORIGIN, codec, item, square
@@ -111,7 +111,7 @@ def driving(**link: Any) -> MavlinkFlight:
 def test_it_drives_an_armed_autopilot_in_manual_and_holds_the_point() -> None:
     flight = driving()
     flight.fly(30.0)
-    assert distance_m(flight.fly(10.0)).max() < 0.3
+    assert farthest_m(flight.fly(10.0)) < 0.3
     assert "LTV-MPC: driving" in flight.autopilot.log
 
 
@@ -183,7 +183,7 @@ def test_a_lost_autopilot_gets_nothing_more_and_a_process_that_stops_lets_go() -
 def test_while_it_has_released_nothing_is_learned_and_then_the_boat_does_not_lunge() -> None:
     """The target is 5 m ahead. Without reports of what acts it would learn half a metre a second of other current."""
     flight = MavlinkFlight()
-    flight.hull.current = (0.0, 0.3)
+    flight.hull.plant.outside[:2] = 0.0, 0.3
     flight.fly(3.0)
     flight.arm()
     flight.command(action="arm")
@@ -203,7 +203,7 @@ def test_while_it_has_released_nothing_is_learned_and_then_the_boat_does_not_lun
     track = flight.fly(70.0)
     way = -track[0] / np.linalg.norm(track[0])
     assert (track @ way).max() < 0.3
-    assert distance_m(track[-500:]).max() < 0.3
+    assert farthest_m(track[-500:]) < 0.3
     np.testing.assert_allclose(observer.bias_mps, believed, atol=0.05)
     assert (flight.plans[-1].health, flight.plans[-1].health_why) == (Health.NOMINAL, "")
 

@@ -18,7 +18,7 @@ from ltv_mpc.messages import Acknowledgement, Action, Authority, Command
 from ltv_mpc.references.mission_items import DRIVEN
 from services.edges.edge import Outgoing, Received
 from services.edges.mavlink.mission import Mission, MissionFollower, Progress, mission_of
-from tests.foreign_plant.mavlink_flight import MavlinkFlight
+from tests.foreign_plant.mavlink_flight import BAD, MavlinkFlight
 from tests.services.edges.mavlink.items import ORIGIN, codec, item
 from tests.services.edges.plans import plan
 
@@ -247,8 +247,6 @@ PLACES = (HOME, item(1, 16, north_m=10.0), item(2, 16, north_m=10.0, east_m=7.0)
 
 
 def test_a_changed_mission_is_followed_once_on_a_bad_link() -> None:
-    from tests.foreign_plant.scenarios.mavlink import BAD
-
     flight = MavlinkFlight(faults=BAD)
     flight.fly(3.0)
     flight.autopilot.lists[0] = list(PLACES)

@@ -221,7 +221,7 @@ def test_one_ensemble_with_a_clock_a_day_ahead_costs_one_ensemble(tmp_path: Path
     ensembles[40].t_s += 86_400.0
     result = localise(of_lawnmower(tmp_path, ensembles)).result
     assert (result.ensembles, result.track.ensembles) == (104, 104)
-    assert [loss["why"] for loss in result.losses] == ["its clock does not increase"]
+    assert [loss.why for loss in result.losses] == ["its clock does not increase"]
 
 
 def test_of_two_heads_one_is_used(tmp_path: Path) -> None:

@@ -1,8 +1,9 @@
-"""Generator of ``docs/protocol.md`` and of the schemas: prose from ``protocol.md`` here, tables from the code.
+"""Generator of ``docs/protocol.md`` and ``docs/schemas``: prose from ``protocol_page.txt``, tables from the code.
 
 A line ``{{name}}`` in the prose is replaced by a table: ``{{header}}``, ``{{fields KEY}}`` (the message on that key),
 ``{{part NAME}}`` (a struct inside a message), ``{{topics}}`` (the topics that have a table of fields), ``{{rest}}``
-(all others: a line each, with the schema). ``{{most}}`` is a limit inside a sentence.
+(all others: a line each, with the schema). ``{{most}}`` is a limit inside a sentence. ``make protocol`` writes the
+files; a test fails if one differs.
 """
 
 from __future__ import annotations
@@ -10,14 +11,15 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterable, Mapping
-from importlib import resources
 from inspect import cleandoc
+from pathlib import Path
 
 from ltv_mpc import messages
-from services.bus.schema import Field, Schema, fields, schema
+from services.bus.schema import Field, fields, schema, unit, words
 from services.bus.topics import BY_KEY, TOPICS, Topic
 from services.bus.wire import MAX_PAYLOAD_BYTES, Header
 
+DOCS = Path(__file__).resolve().parents[1]
 PAGE = "protocol.md"
 SCHEMAS = "schemas"
 HEAD = ("key", "period", "written by")
@@ -36,7 +38,7 @@ def files() -> dict[str, str]:
 
 def page() -> str:
     """Return the protocol page."""
-    prose = resources.files("services.bus").joinpath(PAGE).read_text(encoding="utf-8")
+    prose = Path(__file__).with_suffix(".txt").read_text(encoding="utf-8")
     named = re.findall(r"\{\{fields ([\w/]+)\}\}", prose)
     return re.sub(r"\{\{(\w+) ?([\w/]*)\}\}", lambda match: _table(match[1], match[2], named), prose)
 
@@ -104,40 +106,16 @@ def _fields(entries: Mapping[str, Field]) -> str:
     return _markdown(("field", "type; unit, bounds", "meaning"), rows)
 
 
-def unit(field: Field) -> str:
-    """Return unit and bounds, as in ``m, +-1e+06`` or ``m, -100 to 12000``; empty without bounds."""
-    if field.bounds is None:
-        return ""
-    low, high = field.bounds.low, field.bounds.high
-    return f"{field.bounds.unit}, " + (f"+-{_bound(high)}" if low == -high else f"{_bound(low)} to {_bound(high)}")
-
-
-def _bound(bound: float) -> str:
-    """Format a bound; limits of integers are written as powers of two."""
-    for power in (48, 53, 63):
-        if abs(bound) == 2**power - 1:
-            return f"{'-' if bound < 0 else ''}(2^{power}-1)"
-    return f"{bound:g}"
-
-
-def words(value: Schema) -> str:
-    """Describe the type of a field, as in ``3 x number`` or ``list of lists of number or null``."""
-    if "anyOf" in value:
-        return " or ".join(words(x) for x in value["anyOf"])
-    if "enum" in value:
-        return " | ".join(value["enum"])
-    kind = value["type"]
-    if isinstance(kind, list):
-        return " or ".join(kind)
-    if kind == "array":
-        many = f"{value['minItems']} x" if "minItems" in value else "list of"
-        return f"{many} {words(value['items'])}"
-    if kind == "object":
-        names = [*value.get("properties", ()), *(name.strip("^$") for name in value.get("patternProperties", ()))]
-        return f"map of {', '.join(names)}" if names else "map"
-    return str(kind)
-
-
 def _markdown(head: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
     lines = [head, ("---",) * len(head), *rows]
     return "\n".join(f"| {' | '.join(cell.replace('|', BAR) for cell in line)} |" for line in lines)
+
+
+def main() -> None:
+    """Write every file."""
+    for name, text in files().items():
+        (DOCS / name).write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -4,20 +4,25 @@ from __future__ import annotations
 
 import json
 import re
-from pathlib import Path
+from types import ModuleType
 
 import pytest
 
-from services.bus import protocol
 from services.bus.schema import fields
 from services.bus.topics import BY_KEY, TOPICS
 from services.cli.app import run
+from tests.docs.pages import ROOT
+from tests.docs.test_reference import extension
 
-DOCS = Path(__file__).resolve().parents[3] / "docs"
-PAGE = protocol.page()
+DOCS = ROOT / "docs"
 
 
-def test_what_is_in_docs_is_not_stale() -> None:
+@pytest.fixture
+def protocol(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    return extension("protocol_page", monkeypatch)
+
+
+def test_what_is_in_docs_is_not_stale(protocol: ModuleType) -> None:
     """``make protocol`` mends it."""
     stale = [
         name
@@ -29,10 +34,11 @@ def test_what_is_in_docs_is_not_stale() -> None:
     assert left_over == set()
 
 
-def test_every_message_is_on_the_page_once_and_those_of_a_vehicle_with_all_their_fields() -> None:
-    rows = re.findall(r"^\| \[`([\w/]+?)(?:/<node>)?`\]\((\S+)\)", PAGE, flags=re.M)
+def test_every_message_is_on_the_page_once_and_those_of_a_vehicle_with_all_their_fields(protocol: ModuleType) -> None:
+    page = protocol.page()
+    rows = re.findall(r"^\| \[`([\w/]+?)(?:/<node>)?`\]\((\S+)\)", page, flags=re.M)
     assert sorted(key for key, _ in rows) == sorted(topic.key for topic in TOPICS)
-    sections = {text.partition("`")[0]: text for text in re.split(r"^### `", PAGE, flags=re.M)[1:]}
+    sections = {text.partition("`")[0]: text for text in re.split(r"^### `", page, flags=re.M)[1:]}
     assert {key for key, link in rows if link.startswith("#")} == set(sections)
     for key, section in sections.items():
         own = list(fields(BY_KEY[key].message_type))
