@@ -90,7 +90,7 @@ class InputReceiver:
             self._validator.reject(reason)
             self._reject(frame, reason)
             return None
-        shift_ns = time.shift_ns(header.epoch, received_us)
+        shift_ns = time.sync.shift_ns(header.epoch, received_us)
         message = shifted(message, shift_ns)
         kind = type(message)
         self._status.waiting.on_input(kind)

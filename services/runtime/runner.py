@@ -26,6 +26,7 @@ from ltv_mpc.messages import (
     ClockCommand,
     ClockMode,
     ClockStep,
+    ControllerStatus,
     CycleTiming,
     Message,
     NodeSettings,
@@ -45,12 +46,13 @@ from services.bus.rate_limit import RateLimit
 from services.bus.session import Session, open_session
 from services.bus.topics import BY_TYPE, NAMED, expression
 from services.runtime.clock import monotonic_us
-from services.runtime.clock_sync import ClockSync
+from services.runtime.console import Console
 from services.runtime.deadlines import DeadlineQueue
 from services.runtime.input_receiver import InputReceiver
 from services.runtime.node_io import NodeIO, SavedState
 from services.runtime.node_status import CLOCK_MESSAGE, CLOCK_OR_ESTIMATE, NodeStatusReporter, WaitingFor
 from services.runtime.process_time import ClockOptions, ProcessTime
+from services.runtime.serve import run_until_stopped
 from services.runtime.service_manager import SERVICE_MANAGER
 from services.runtime.stage_timer import StageTimer
 from services.runtime.stopping import Say, StopRequest
@@ -139,10 +141,12 @@ class Runner:
         """True once the last step of a schedule that ends is done."""
         return self._time.schedule.finished
 
-    @property
-    def clock_sync(self) -> ClockSync:
-        """Synchronisation with the other side's clock, for a process that may take the time from its inputs."""
-        return self._time.sync
+    def main(self, console: Console, bus: BusOptions, saved: SavedState | None = None) -> int:
+        """Serve until the node is done or a signal stops it. Return the exit code, as ``run_until_stopped``.
+
+        ``saved`` is where its states are kept; None: the supervisor keeps them, if there is one.
+        """
+        return run_until_stopped(console, lambda _, say: self.serve(bus, saved, say), request=self.stop)
 
     def serve(self, bus: BusOptions, saved: SavedState | None = None, say: Say = print) -> None:
         """Connect, report ready, run the steps, report finished, disconnect.
@@ -175,10 +179,10 @@ class Runner:
             ClockStep: ClockStep in node.reads,
             Clock: keeps_time,
             NodeSettings: self._settings is not None,
+            ControllerStatus: self._report is not None,
         }
         kinds: list[type[Message]] = [*node.writes, StepRecord, NodeStatus, RejectedFrame, RunEvent]
         kinds += [kind for kind, is_written in optional.items() if is_written]
-        kinds += self._report.writes if self._report is not None else ()
         outbox = Outbox(session, node=node.name, epoch=self._epoch, kinds=kinds)
         validator = MessageValidator(RateLimit(lambda: time.speed))
         waiting = WaitingFor(
@@ -327,7 +331,7 @@ class Runner:
         if source is None or source == self._source:
             return
         before, self._source = self._source, source
-        self._time.follow_source(source.epoch)
+        self._time.sync.follow_source(source.epoch, monotonic_us())
         if before is not None:
             text = f"source of the estimates: {before} -> {source}"
             self._io.publish(RunEvent(t_ns=t_ns, node=self._node.name, kind="source", text=text))
