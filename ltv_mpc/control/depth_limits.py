@@ -28,6 +28,7 @@ from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array, Estimate, Plan
 from ltv_mpc.references.follower import Follower
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
+from ltv_mpc.vehicle.resistance import steady_speed
 
 MIN_RATE_RADPS = 0.01
 """Smallest rate l: of a vehicle that cannot brake."""
@@ -129,8 +130,8 @@ def braking_rate_radps(vehicle: Vehicle) -> float:
         (thruster.max_N - vehicle.net_buoyancy_N, vehicle.net_buoyancy_N - thruster.min_N),  # down
         (vehicle.net_buoyancy_N - thruster.min_N, thruster.max_N - vehicle.net_buoyancy_N),  # up
     ):
-        speed_mps = _steady_speed_mps(drive_N, heave.linear_damping_kgps, heave.quadratic_damping_kgpm)
-        if speed_mps > 0.0:
+        if drive_N > 0.0:
+            speed_mps = steady_speed(drive_N, heave.linear_damping_kgps, heave.quadratic_damping_kgpm)
             rate = min(rate, brake_N / heave.mass_kg / speed_mps)
     return max(rate, MIN_RATE_RADPS)
 
@@ -144,16 +145,8 @@ def ascent_speed_mps(vehicle: Vehicle) -> float:
     """
     if vehicle.heave is None:
         return 0.0
-    up_N = vehicle.net_buoyancy_N - vehicle.thrusters[2].min_N
-    return _steady_speed_mps(up_N, vehicle.heave.linear_damping_kgps, vehicle.heave.quadratic_damping_kgpm)
-
-
-def _steady_speed_mps(force_N: float, linear_kgps: float, quadratic_kgpm: float) -> float:
-    """Return the speed at which the drag balances a force: the root of D w^2 + d w = F."""
-    if force_N <= 0.0:
-        return 0.0
-    root = math.sqrt(linear_kgps * linear_kgps + 4.0 * quadratic_kgpm * force_N)
-    return 2.0 * force_N / (linear_kgps + root) if root > 0.0 else math.inf
+    up_N, heave = vehicle.net_buoyancy_N - vehicle.thrusters[2].min_N, vehicle.heave
+    return steady_speed(up_N, heave.linear_damping_kgps, heave.quadratic_damping_kgpm) if up_N > 0.0 else 0.0
 
 
 @jit
