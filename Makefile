@@ -2,7 +2,7 @@
 
 SHELL := /bin/sh
 .DEFAULT_GOAL := help
-.PHONY: help setup lock sim sim-secure check test figures docs package release bench fuzz protocol link mutants clean
+.PHONY: help setup lock sim sim-secure check test figures docs package release bench fuzz protocol mutants clean
 
 # Passed through to `ltv-mpc sim`; empty: the scenario's own value.
 SCENARIO =
@@ -93,9 +93,6 @@ lock: .venv/made  ## requirements.lock: the newest versions that pyproject.toml 
 protocol: setup  ## docs/protocol.md, docs/schemas/ and the drawings of docs/architecture.md, from the code
 	PYTHONPATH=. $(BIN)/python -P docs/extensions/protocol_page.py
 	PYTHONPATH=. $(BIN)/python -P docs/extensions/drawings.py
-
-link: setup  ## a descent with the controller behind a long, lossy link between two network namespaces; as root
-	$(BIN)/python -m benchmarks.link
 
 mutants: setup .venv/mutation  ## flip the sign of every term, one at a time: a test must fail for each; FILES= for some
 	@$(BIN)/python -m tests.mutation.run $(FILES)

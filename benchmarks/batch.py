@@ -47,13 +47,12 @@ def keep_each(
     store: ResultsStore,
     *,
     workers: int | None = None,
-    stop: Callable[[], bool] = lambda: False,
 ) -> None:
     """Do the jobs that the store does not have by their keys, and append their results as they end."""
     missing = {key: job for key, job in jobs.items() if key not in store.keys}
     keys, done = list(missing), len(jobs) - len(missing)
     with progress_bar(f"{len(jobs)} runs") as progress:
-        for place, result in run_each(work, list(missing.values()), workers=workers, stop=stop):
+        for place, result in run_each(work, list(missing.values()), workers=workers):
             store.append(keys[place], result)
             done += 1
             progress(done / len(jobs))

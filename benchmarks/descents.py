@@ -54,14 +54,6 @@ COLUMNS: dict[str, Callable[[Summary], float | None]] = {
     "saturated (%)": lambda s: None if s.thrust.saturated_fraction is None else 100 * s.thrust.saturated_fraction,
 }
 
-WORST: dict[str, Callable[[Summary], float | None]] = {
-    "thrust (N)": lambda s: s.thrust.max_abs_N,
-    "slew (N/s)": lambda s: s.thrust.max_slew_N_per_s,
-    "plans refused by the actuators": lambda s: float(s.plans_refused),
-    "plans late": lambda s: float(s.deadline_misses),
-}
-"""Figures that are taken from the worst run."""
-
 
 def main() -> None:
     """Run and print."""
@@ -75,12 +67,10 @@ def main() -> None:
         name: {column: statistics.fmean(figures(of, rows)) for column, of in COLUMNS.items()}
         for name, rows in summaries.items()
     }
-    worst = {what: max(figures(of, everyone)) for what, of in WORST.items()}
     print(f"| mean of {options.seeds} seeds | " + " | ".join(COLUMNS) + " |")
     print("|---|" + "---|" * len(COLUMNS))
     for name, row in table.items():
         print(f"| {name} | " + " | ".join(text(value) for value in row.values()) + " |")
-    print("\nlargest in any run: " + ", ".join(f"{what} {value:g}" for what, value in worst.items()))
 
 
 def figures(of: Callable[[Summary], float | None], rows: Sequence[Summary]) -> list[float]:

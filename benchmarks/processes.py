@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import IO
+from typing import IO, NamedTuple
 
 from services.supervisor.loopback import is_listening
 from services.supervisor.parent_death import OrphanCleanup
@@ -69,15 +69,31 @@ def await_router(endpoint: str) -> None:
         time.sleep(0.02)
 
 
-def children(parent: int) -> Iterator[tuple[int, str]]:
-    """List pid and name of every live process that ``parent`` has started."""
-    for folder in Path("/proc").iterdir():
-        if not folder.name.isdigit():
-            continue
+TICK_S = 1 / os.sysconf("SC_CLK_TCK")
+
+
+class Times(NamedTuple):
+    """Name, and user and system time (s) of all threads of a process."""
+
+    name: str
+    user_s: float
+    system_s: float
+
+
+def descendants(root: int) -> dict[int, Times]:
+    """Return the live process ``root``, by the name "supervisor", and all that it and its children have started."""
+    rows: dict[int, tuple[int, Times]] = {}
+    for stat in Path("/proc").glob("[0-9]*/stat"):
         try:
-            name, _, rest = (folder / "stat").read_text(encoding="utf-8", errors="replace").rpartition(")")
+            name, _, rest = stat.read_text(errors="replace").partition("(")[2].rpartition(")")
         except OSError:  # it has ended meanwhile
             continue
-        state, ppid = rest.split()[:2]
-        if int(ppid) == parent and state != "Z":
-            yield int(folder.name), name.partition("(")[2]
+        fields = rest.split()
+        if fields[0] != "Z":
+            times = Times(name, int(fields[11]) * TICK_S, int(fields[12]) * TICK_S)
+            rows[int(stat.parent.name)] = int(fields[1]), times
+    found: dict[int, Times] = {}
+    for pid, (parent, times) in sorted(rows.items()):
+        if pid == root or parent in found:
+            found[pid] = times._replace(name="supervisor") if pid == root else times
+    return found

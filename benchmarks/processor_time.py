@@ -24,6 +24,9 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
+from benchmarks import processes
+from benchmarks.processes import descendants
+
 ROOT = Path(__file__).resolve().parents[1]
 SURFACE_S = 10.0
 """Time at the surface before the descent of ``--duration-s``."""
@@ -32,7 +35,6 @@ SETTLED_S = 2.0
 ABOARD = ("router", "estimator", "controller", "recorder")
 """Processes that a vehicle has, too."""
 RESAMPLED = 4000
-TICK_S = 1 / os.sysconf("SC_CLK_TCK")
 
 Times: TypeAlias = dict[str, tuple[float, float]]
 """User and system time (s) by process name."""
@@ -50,28 +52,11 @@ class Run(NamedTuple):
         return sum(map(sum, self.times.values()))
 
 
-def read_times(root: int) -> dict[int, tuple[str, float, float]]:
-    """Return name, user and system time of the process ``root`` and of its descendants."""
-    rows: dict[int, tuple[int, str, float, float]] = {}
-    for stat in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            name, _, rest = stat.read_text().partition("(")[2].rpartition(")")
-        except OSError:  # it has ended
-            continue
-        fields = rest.split()
-        rows[int(stat.parent.name)] = int(fields[1]), name, int(fields[11]) * TICK_S, int(fields[12]) * TICK_S
-    found: dict[int, tuple[str, float, float]] = {}
-    for pid, (parent, name, user_s, system_s) in sorted(rows.items()):
-        if pid == root or parent in found:
-            found[pid] = "supervisor" if pid == root else name.removeprefix("ltv-"), user_s, system_s
-    return found
-
-
 def measure(checkout: Path, out: Path, *, duration_s: float, speed: float) -> Run:
     """Run the command in a checkout once, and sample its processes until it ends."""
     command = [sys.executable, "-P", "-m", "services.cli", "sim", "--dashboard", "--seed", "7", "--speed", f"{speed:g}"]
     command += ["--duration-s", f"{duration_s:g}", "--surface-time-s", f"{SURFACE_S:g}", "--json", "--out", str(out)]
-    newest: dict[int, tuple[str, float, float]] = {}
+    newest: dict[int, processes.Times] = {}
     samples: list[tuple[float, Times]] = []
     with (
         tempfile.TemporaryFile("w+") as console,
@@ -84,8 +69,8 @@ def measure(checkout: Path, out: Path, *, duration_s: float, speed: float) -> Ru
         ) as process,
     ):
         while process.poll() is None:
-            newest.update(now := read_times(process.pid))
-            if any(name == "plant" for name, _, _ in now.values()):
+            newest.update(now := descendants(process.pid))
+            if any(one.name == "ltv-plant" for one in now.values()):
                 samples.append((time.monotonic(), by_name(now)))
             time.sleep(SAMPLE_S)
         assert process.stdout is not None
@@ -100,11 +85,12 @@ def measure(checkout: Path, out: Path, *, duration_s: float, speed: float) -> Ru
     return Run(by_name(newest), share)
 
 
-def by_name(rows: dict[int, tuple[str, float, float]]) -> Times:
+def by_name(rows: dict[int, processes.Times]) -> Times:
     """Return the sums of the times of processes of one name."""
     times: dict[str, tuple[float, float]] = defaultdict(lambda: (0.0, 0.0))
     for name, user_s, system_s in rows.values():
-        times[name] = times[name][0] + user_s, times[name][1] + system_s
+        user, system = times[name.removeprefix("ltv-")]
+        times[name.removeprefix("ltv-")] = user + user_s, system + system_s
     return dict(times)
 
 

@@ -30,7 +30,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.processes import children
+from benchmarks.processes import descendants
 from ltv_mpc.messages import Applied, Array, Plan, PlanOrigin
 from services.recording.loss_accounting import LossAccounting
 from services.recording.reader import Recording
@@ -69,9 +69,9 @@ def watch(supervisor: subprocess.Popen[bytes], wall_s: float, every_s: float) ->
     names: dict[int, str] = {}  # a fork has its own name a moment later
     began = time.monotonic()
     while (at_s := time.monotonic() - began) < wall_s and supervisor.poll() is None:
-        for pid, name in [(supervisor.pid, "supervisor"), *children(supervisor.pid)]:
+        for pid, one in descendants(supervisor.pid).items():
             if (seen := look(pid, at_s)) is not None:
-                names[pid] = name
+                names[pid] = one.name
                 looks.setdefault(pid, []).append(seen)
         sys.stderr.write(f"\r{at_s / 60:.1f} of {wall_s / 60:g} min")
         time.sleep(every_s)

@@ -34,29 +34,21 @@ if TYPE_CHECKING:
 
     __version__: str
 
-_HOME = {
-    "Bathymetry": "ltv_mpc.bathymetry",
-    "Controller": "ltv_mpc.control.controller",
-    "ControllerConfig": "ltv_mpc.control.config",
-    "CurrentProfile": "ltv_mpc.messages",
-    "Estimate": "ltv_mpc.messages",
-    "Fence": "ltv_mpc.geofence.fence",
-    "Limit": "ltv_mpc.control.ocp.extension",
-    "Motion": "ltv_mpc.control.ocp.extension",
-    "Obstacle": "ltv_mpc.messages",
-    "Obstacles": "ltv_mpc.messages",
-    "Plan": "ltv_mpc.messages",
-    "PlanOrigin": "ltv_mpc.messages",
-    "Run": "services.tools.python_run",
-    "SolveStatus": "ltv_mpc.messages",
-    "Term": "ltv_mpc.control.ocp.extension",
-    "Vehicle": "ltv_mpc.vehicle.parameters",
-    "advance": "ltv_mpc.control.nominal_model",
-    "build_qp": "ltv_mpc.control.solvers.sparse",
-    "references": "ltv_mpc.references",
-    "simulate": "services.tools.python_run",
-    "solve_qp": "ltv_mpc.control.solvers",
+_NAMES = {
+    "ltv_mpc.bathymetry": ("Bathymetry",),
+    "ltv_mpc.control.config": ("ControllerConfig",),
+    "ltv_mpc.control.controller": ("Controller",),
+    "ltv_mpc.control.nominal_model": ("advance",),
+    "ltv_mpc.control.ocp.extension": ("Limit", "Motion", "Term"),
+    "ltv_mpc.control.solvers": ("solve_qp",),
+    "ltv_mpc.control.solvers.sparse": ("build_qp",),
+    "ltv_mpc.geofence.fence": ("Fence",),
+    "ltv_mpc.messages": ("CurrentProfile", "Estimate", "Obstacle", "Obstacles", "Plan", "PlanOrigin", "SolveStatus"),
+    "ltv_mpc.references": ("references",),
+    "ltv_mpc.vehicle.parameters": ("Vehicle",),
+    "services.tools.python_run": ("Run", "simulate"),
 }
+_HOME = {name: module for module, names in _NAMES.items() for name in names}
 
 __all__ = ["__version__", *_HOME]
 

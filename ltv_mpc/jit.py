@@ -8,7 +8,6 @@ Child processes inherit it through the environment.
 
 from __future__ import annotations
 
-import functools
 import hashlib
 import os
 import platform
@@ -120,21 +119,12 @@ class _Cache(caching.FunctionCache):
 
     def __init__(self, function: FunctionType) -> None:
         """Store the function."""
-        self._py_func, self._name, self._enabled = function, repr(function), True
+        self._function = function
 
-    @functools.cached_property
-    def _impl(self) -> _CacheImpl:
-        return _CacheImpl(self._py_func)  # type: ignore[no-untyped-call]
-
-    @functools.cached_property
-    def _cache_path(self) -> str:
-        return str(self._impl.locator.get_cache_path())
-
-    @functools.cached_property
-    def _cache_file(self) -> Any:  # type: ignore[override]
-        return caching.IndexDataCacheFile(  # type: ignore[no-untyped-call]
-            self._cache_path, self._impl.filename_base, ""
-        )
+    def __getattr__(self, name: str) -> Any:
+        """Find the place as numba does it, when the first attribute is needed that numba sets there."""
+        super().__init__(self._function)  # type: ignore[no-untyped-call]
+        return getattr(self, name)
 
 
 OPTIONS: dict[Any, dict[str, Any]] = {}

@@ -118,14 +118,13 @@ def expected(kind: Type | None, value: Any = None) -> str:
     kind : type of the field.
     value : invalid value; if it is a number, only the bounds are returned.
     """
-    numeric = (int, float) if isinstance(kind, inspect.FloatType) else (int,)
-    if isinstance(kind, inspect.FloatType | inspect.IntType) and type(value) in numeric and _bounds(kind):
-        return _bounds(kind)
     match kind:
-        case inspect.FloatType():
-            return f"a number {_bounds(kind)}".rstrip()
-        case inspect.IntType():
-            return f"an integer {_bounds(kind)}".rstrip()
+        case inspect.FloatType() | inspect.IntType():
+            noun, numeric = (
+                ("a number", (int, float)) if isinstance(kind, inspect.FloatType) else ("an integer", (int,))
+            )
+            bounds = _bounds(kind)
+            return bounds if bounds and type(value) in numeric else f"{noun} {bounds}".rstrip()
         case inspect.BoolType():
             return "true or false"
         case inspect.StrType():

@@ -19,7 +19,7 @@ import os
 import sys
 import tempfile
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
@@ -44,56 +44,53 @@ QUICK, FULL = 31, 1000
 MAX_SHOWN = 40
 """Violations that are printed; all of them are in faults.json."""
 
-LABELS = {
-    "fault": "fault", "injected": "n", "in_processes": "proc", "reaction_median_s": "react s",
-    "reaction_worst_s": "worst s", "worst_error_m": "error m", "worst_ratio": "ratio", "grown_m": "moved m",
-    "bound_m": "bound m", "late": "late", "not_recovered": ">2", "beyond_bound": ">bound", "unflagged": "unflagged",
-    "uncounted": "lost", "bad_thrusts": "bad", "uncontrolled": "out",
-}  # fmt: skip
-"""Figures of a row, and their headings."""
-
-COUNTS = ("injected", "in_processes", *list(LABELS)[9:])
-"""Figures that are summed over all classes."""
-
-
-def summary(seen: Sequence[FaultOutcome]) -> dict[str, Any]:
-    """Return the content of faults.json: sums over all faults, a row for each class, and the violations."""
-    rows = [row(name, of) for name in NAMES if (of := [one for one in seen if one.fault.kind == name])]
-    sums = {name: sum(row[name] for row in rows) for name in COUNTS}
-    return {"classes": len(rows), **sums, "rows": rows, "violations": [one for one in seen if one.problems]}
-
-
-def row(name: str, seen: Sequence[FaultOutcome]) -> dict[str, Any]:
-    """Return the figures of one fault class. None: not measured."""
-    took = sorted(one.reaction_s for one in seen if one.reaction_s is not None)
-    return {
-        "fault": name,
-        "injected": len(seen),
-        "in_processes": sum(one.place is Place.PROCESSES for one in seen),
-        "reaction_median_s": took[len(took) // 2] if took else None,
-        "reaction_worst_s": took[-1] if took else None,
-        "worst_error_m": _worst(one.worst_error_m for one in seen),
-        "worst_ratio": _worst(one.ratio for one in seen),
-        "grown_m": _worst(one.grown_m for one in seen if one.bound_m is not None),
-        "bound_m": _worst(one.bound_m for one in seen),
-        "late": sum(bool(one.late) for one in seen),
-        "not_recovered": sum(not one.recovered for one in seen),
-        "beyond_bound": sum(one.beyond_bound for one in seen),
-        "unflagged": sum(one.outside_s > UNFLAGGED_S for one in seen),
-        "uncounted": sum(one.uncounted for one in seen),
-        "bad_thrusts": sum(one.bad_thrusts for one in seen),
-        "uncontrolled": sum(bool(one.uncontrolled) for one in seen),
-    }
-
 
 def _worst(values: Iterable[float | None]) -> float | None:
     return max((value for value in values if value is not None), default=None)
 
 
+def _median(values: Iterable[float | None]) -> float | None:
+    known = sorted(value for value in values if value is not None)
+    return known[len(known) // 2] if known else None
+
+
+Outcomes = Sequence[FaultOutcome]
+FIGURES: dict[str, tuple[str, Callable[[Outcomes], Any]]] = {
+    "fault": ("fault", lambda seen: seen[0].fault.kind),
+    "injected": ("n", len),
+    "in_processes": ("proc", lambda seen: sum(one.place is Place.PROCESSES for one in seen)),
+    "reaction_median_s": ("react s", lambda seen: _median(one.reaction_s for one in seen)),
+    "reaction_worst_s": ("worst s", lambda seen: _worst(one.reaction_s for one in seen)),
+    "worst_error_m": ("error m", lambda seen: _worst(one.worst_error_m for one in seen)),
+    "worst_ratio": ("ratio", lambda seen: _worst(one.ratio for one in seen)),
+    "grown_m": ("moved m", lambda seen: _worst(one.grown_m for one in seen if one.bound_m is not None)),
+    "bound_m": ("bound m", lambda seen: _worst(one.bound_m for one in seen)),
+    "late": ("late", lambda seen: sum(bool(one.late) for one in seen)),
+    "not_recovered": (">2", lambda seen: sum(not one.recovered for one in seen)),
+    "beyond_bound": (">bound", lambda seen: sum(one.beyond_bound for one in seen)),
+    "unflagged": ("unflagged", lambda seen: sum(one.outside_s > UNFLAGGED_S for one in seen)),
+    "uncounted": ("lost", lambda seen: sum(one.uncounted for one in seen)),
+    "bad_thrusts": ("bad", lambda seen: sum(one.bad_thrusts for one in seen)),
+    "uncontrolled": ("out", lambda seen: sum(bool(one.uncontrolled) for one in seen)),
+}
+"""Figures of a fault class, with their headings. None: not measured."""
+
+COUNTS = ("injected", "in_processes", *list(FIGURES)[9:])
+"""Figures that are summed over all classes."""
+
+
+def summary(seen: Outcomes) -> dict[str, Any]:
+    """Return the content of faults.json: sums over all faults, a row for each class, and the violations."""
+    classes = [of for name in NAMES if (of := [one for one in seen if one.fault.kind == name])]
+    rows = [{name: of(one) for name, (_, of) in FIGURES.items()} for one in classes]
+    sums = {name: sum(row[name] for row in rows) for name in COUNTS}
+    return {"classes": len(rows), **sums, "rows": rows, "violations": [one for one in seen if one.problems]}
+
+
 def table(of: dict[str, Any]) -> str:
     """Format a line for each class, the sums, and the violated requirements."""
-    rows = [LABELS, *of["rows"], {**dict.fromkeys(LABELS, ""), **of, "fault": "all"}]
-    lines = [[_figure(row[name]) for name in LABELS] for row in rows]
+    rows = [*of["rows"], {**dict.fromkeys(FIGURES, ""), **of, "fault": "all"}]
+    lines = [[heading for heading, _ in FIGURES.values()], *([_figure(row[name]) for name in FIGURES] for row in rows)]
     widths = [max(len(line[i]) for line in lines) for i in range(len(lines[0]))]
     text = ["  ".join(cell.rjust(width) for cell, width in zip(line, widths, strict=True)) for line in lines]
     for seen in of["violations"][:MAX_SHOWN]:

@@ -35,7 +35,7 @@ from benchmarks.faults.kinds import Fault
 from benchmarks.faults.lockstep import SCENARIO, run_config
 from benchmarks.faults.message_faults import MessageFault
 from benchmarks.faults.recorded import Injected
-from benchmarks.processes import Process, Started, await_router, children, end
+from benchmarks.processes import Process, Started, await_router, descendants, end
 from ltv_mpc.messages import Clock, ClockState
 from services.bus.options import BusOptions
 from services.bus.roles import DISPLAY
@@ -108,7 +108,7 @@ def attacked(run: Run, folder: Path) -> Ended:
 def _attack(fault: Fault, process: Process, clock: _Time) -> Injected:
     at_us, at_ns, why = monotonic_us(), clock.now_ns() or fault.start_ns, ""
     try:
-        pid = next((pid for pid, name in children(process.pid) if name == f"ltv-{fault.target}"), None)
+        pid = next((pid for pid, one in descendants(process.pid).items() if one.name == f"ltv-{fault.target}"), None)
         if pid is None:
             raise ProcessLookupError(f"no process of {fault.target} is running")
         attack(fault, pid, lasts=lambda: (clock.now_ns() or fault.end_ns) < fault.end_ns)

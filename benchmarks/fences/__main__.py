@@ -13,15 +13,14 @@ its clearance is taken every 0.1 s. Methods:
     sensors the whole loop with realistic sensors, of the vehicles that dive; the clearance is that of the true vehicle
 
 A scene counts as violated if the hull is in a zone at any time, and as arrived if the vehicle has come within its
-length scale of the point. Scenes that DIR has already are not flown again; ``--minutes`` ends a call early, and the
-next one continues. docs/notes/fences-study.md has the results, also of rivals.
+length scale of the point. Scenes that DIR has already are not flown again. docs/notes/fences-study.md has the results,
+also of rivals.
 """
 
 from __future__ import annotations
 
 import argparse
 import math
-import time
 from pathlib import Path
 
 import numpy as np
@@ -86,7 +85,6 @@ def main() -> None:
     parser.add_argument("--report-s", type=float, default=REPORT_S, help="time between two reports of an obstacle")
     parser.add_argument("--model", choices=MODELS, default="right", help="how the true vehicle differs from its file")
     parser.add_argument("--workers", type=int, default=1)
-    parser.add_argument("--minutes", type=float, default=math.inf)
     parser.add_argument("--out", type=Path, required=True)
     options = parser.parse_args()
     names = {seed: scene_of(seed, moving=False).name for seed in range(options.scenes)}
@@ -102,14 +100,12 @@ def main() -> None:
         for method in options.methods
         if method != "sensors"
     ]
-    end_s = time.monotonic() + 60.0 * options.minutes
     with open_store(options.out, {"benchmark": "fences"}) as store:
         keep_each(
             fly,
             {_key(job): job for job in jobs},
             store,
             workers=options.workers,
-            stop=lambda: time.monotonic() > end_s,
         )
         found = {key: decode(flown, Flown) for key, flown in store.results()}
     print("\n\n".join(text for text in (table(found), remarkable(found)) if text))

@@ -16,9 +16,8 @@ import msgspec
 import numpy as np
 
 from benchmarks.fleet.fleet import Fleet, namespace, now_ns, wait_for_start
-from ltv_mpc import frames
-from ltv_mpc.messages import Applied, CurrentProfile, Estimate, Plan
-from ltv_mpc.safety.plan_gate import PlanGate, PlanVerdict
+from ltv_mpc.messages import Applied, CurrentProfile, Estimate, Plan, Truth
+from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.mailbox import Mailbox
 from services.bus.message_validation import MessageValidator
@@ -27,16 +26,15 @@ from services.bus.outbox import Outbox, new_epoch
 from services.bus.session import open_session
 from services.bus.topics import BY_TYPE
 from services.bus.wire import WireError
-from sim import motion
+from sim import plant
 from sim.evaluation.metrics import quantiles
 from sim.evaluation.summary import Quantiles
-from sim.plant import level_to_ned
-from sim.water.column import WaterSample
+from sim.scenario import Plant, Run, Scenario
+from sim.water import WaterColumn
 
 STEP_NS = 10_000_000
 CELLS = 71
 """Number of depths of a profile, as in the filter's of 70 m."""
-DEPTHS = np.array([0.0, 100.0])
 SPEED_MPS = 0.1
 """Speed of the currents."""
 OFF_M = 0.3
@@ -58,7 +56,9 @@ class Plants(msgspec.Struct, frozen=True, kw_only=True):
 def main(fleet: Fleet) -> Plants:
     """Run the plant process."""
     vehicle = Vehicle.load(fleet.vehicle)
-    _Plant(vehicle, 0).go(2 * STEP_NS)  # have the kernel compiled
+    first = _Plant(vehicle, 0)
+    for t_ns in (0, 2 * STEP_NS):  # have the kernel compiled
+        first.step(t_ns)
     with open_session(BusOptions(connect=(fleet.router,)), stop=lambda: False, say=lambda _text: None) as session:
         mailbox, epoch, topic = Mailbox(), new_epoch(), BY_TYPE[Plan]
         plants, outs, by_key = [], [], {}
@@ -75,7 +75,7 @@ def _run(
     fleet: Fleet, plants: list[tuple[_Plant, Outbox]], by_key: dict[str, _Plant], mailbox: Mailbox, start_ns: int
 ) -> Plants:
     begin_ns, end_ns = fleet.measured_ns
-    validator, refused, late, cpu_s = MessageValidator(), 0, 0, 0.0
+    validator, refused, cpu_s, before = MessageValidator(), 0, 0.0, [(0, 0)] * len(plants)
     latency_ms: list[float] = []
     errors_m: list[float] = []
     due = sorted((fleet.due_ns(i, k), i) for i in range(fleet.vehicles) for k in range(end_ns // fleet.period_ns + 1))
@@ -93,24 +93,23 @@ def _run(
                 refused += 1
                 continue
             assert isinstance(plan, Plan)
-            verdict = by_key[frame.key].offer(plan, header.epoch, header.sequence, t_ns)
+            by_key[frame.key].inbox.append(ReceivedMessage(plan, header.epoch, header.sequence, t_ns))
             if due_ns >= begin_ns:
                 latency_ms.append((t_ns - plan.estimate_t_ns) / 1e6)
-                late += verdict is PlanVerdict.LATE
-                refused += verdict not in (PlanVerdict.ACCEPTED, PlanVerdict.LATE)
+        craft, out = plants[i]
         if due_ns < begin_ns or not cpu_s:
             cpu_s = time.process_time()
-        plant, out = plants[i]
-        plant.go(due_ns)
-        out.publish(plant.report(due_ns))
-        out.publish(plant.estimate(due_ns))
+            before[i] = craft.counts
+        for message in craft.step(due_ns):
+            out.publish(message)
         if due_ns >= (begin_ns + end_ns) // 2:
-            errors_m.append(plant.off_m)
+            errors_m.append(craft.off_m)
+    late, rejected = np.subtract([craft.counts for craft, _ in plants], before).sum(axis=0).tolist()
     return Plants(
         estimates=estimates,
         plans=len(latency_ms),
         late=late,
-        refused=refused,
+        refused=refused + rejected,
         latency_ms=quantiles(latency_ms),
         mean_error_m=float(np.mean(errors_m)) if errors_m else math.nan,
         cpu_s=time.process_time() - cpu_s,
@@ -118,89 +117,48 @@ def _run(
 
 
 class _Plant:
-    """Plant of one vehicle."""
+    """Plant of one vehicle, with an estimate of its true state."""
 
     def __init__(self, vehicle: Vehicle, number: int) -> None:
         draw = np.random.default_rng(number)
-        self._body = motion.pack(vehicle)
-        self._gate = PlanGate(vehicle)
         north, east, heading = draw.uniform(-OFF_M, OFF_M), draw.uniform(-OFF_M, OFF_M), draw.uniform(-3.0, 3.0)
-        self._state = np.array([north, east, 0.0, 0.0, heading, 0.0, 10.0, 0.0])
-        self._revolutions, self._thrust = np.zeros(3), np.zeros(3)
         way = draw.uniform(-math.pi, math.pi)
-        self._current = SPEED_MPS * math.cos(way), SPEED_MPS * math.sin(way)
-        depth = np.arange(float(CELLS))
-        self._profile = CurrentProfile(
-            depth_m=depth,
-            north_mps=np.full(CELLS, self._current[0]),
-            east_mps=np.full(CELLS, self._current[1]),
-            sd_mps=np.full(CELLS, 0.01),
-        )
-        self._t_ns = 0
-        self._command = (0.0, 0.0, 0.0)
-        self._accepted: tuple[Plan, int, int, int] | None = None
+        current = np.tile([SPEED_MPS * math.cos(way), SPEED_MPS * math.sin(way)], (CELLS, 1))
+        depth_m, sd_mps = np.arange(float(CELLS)), np.full(CELLS, 0.01)
+        self._profile = CurrentProfile(depth_m=depth_m, north_mps=current[:, 0], east_mps=current[:, 1], sd_mps=sd_mps)
+        start = Plant(north_m=north, east_m=east, heading_rad=heading, depth_m=10.0, tilt_rms_rad=0.0)
+        scenario = Scenario(title="fleet", run=Run(arm=False), plant=start)
+        self._node = plant.Plant(scenario, vehicle, WaterColumn(depth_m, current))
+        self.inbox: list[ReceivedMessage] = []
+        """Plans since the last step."""
+        self.off_m = 0.0
+        """Distance from the vehicle's target, the origin."""
+        self.counts = 0, 0
+        """Plans that came late, and plans that were rejected."""
 
-    @property
-    def off_m(self) -> float:
-        """Return the distance from the vehicle's target, the origin (m)."""
-        return math.hypot(self._state[0], self._state[1])
-
-    def offer(self, plan: Plan, epoch: int, sequence: int, t_ns: int) -> PlanVerdict:
-        """Offer a received plan to the actuators' gate."""
-        verdict = self._gate.offer(plan, epoch, sequence, t_ns)
-        if verdict in (PlanVerdict.ACCEPTED, PlanVerdict.LATE):
-            self._accepted = plan, epoch, sequence, t_ns
-        return verdict
-
-    def go(self, until_ns: int) -> None:
-        """Integrate the motion in steps of 10 ms, under the commands of the gate."""
-        if until_ns <= self._t_ns:
-            return
-        times = [*range(self._t_ns, until_ns, STEP_NS), until_ns]
-        commands = np.empty((len(times), 3))
-        commands[0] = self._command
-        commands[1:] = self._gate.commands_at(times[1:])
-        self._command = tuple(commands[-1].tolist())
-        profile = np.array([self._current, self._current])
-        vehicle = motion.MotionState(self._state, self._revolutions, self._thrust)
-        water = WaterSample(DEPTHS, profile, profile, 0.0)
-        motion.simulate(self._body, vehicle, np.array(times) * 1e-9, commands, water)
-        self._t_ns = until_ns
-
-    def estimate(self, t_ns: int) -> Estimate:
-        """Return the true state as an estimate."""
-        n, e, u, v, psi, r, z, w = self._state.tolist()
-        north, east = level_to_ned(u, v, psi)
-        return Estimate(
+    def step(self, t_ns: int) -> list[Applied | Estimate]:
+        """Simulate to a time; return the actuators' newest report, if plans have come, and the true state."""
+        inbox, self.inbox = self.inbox, []
+        outputs = self._node.step(t_ns, inbox)
+        reports = [message for message in outputs if isinstance(message, Applied)][-1:]
+        for report in reports:
+            self.counts = report.plans_late, report.plans_rejected
+        truth = [message for message in outputs if isinstance(message, Truth)][-1]
+        (north, east, depth), velocity = truth.position_m, truth.velocity_mps
+        self.off_m = math.hypot(north, east)
+        estimate = Estimate(
             t_ns=t_ns,
-            north_m=n,
-            east_m=e,
-            heading_rad=frames.wrap_angle(psi),
-            yaw_rate_radps=r,
-            velocity_north_mps=north + self._current[0],
-            velocity_east_mps=east + self._current[1],
-            depth_m=z,
-            velocity_down_mps=w,
+            north_m=north,
+            east_m=east,
+            heading_rad=truth.attitude_rad[2],
+            yaw_rate_radps=truth.yaw_rate_radps,
+            velocity_north_mps=velocity[0],
+            velocity_east_mps=velocity[1],
+            depth_m=depth,
+            velocity_down_mps=velocity[2],
             current=self._profile,
         )
-
-    def report(self, t_ns: int) -> Applied:
-        """Return the actuators' report."""
-        plan, epoch, sequence, received_ns = self._accepted or (None, 0, -1, 0)
-        x, y, z = self._thrust.tolist()
-        return Applied(
-            t_ns=t_ns,
-            thrust_N=(x, y, z),
-            command_N=self._command,
-            command_slew_N_per_s=(0.0, 0.0, 0.0),
-            plan_epoch=epoch,
-            plan_sequence=sequence,
-            plan_cycle_t_ns=0 if plan is None else plan.cycle_t_ns,
-            plan_received_t_ns=received_ns,
-            plan_late=False,
-            plans_late=self._gate.plans_late,
-            plans_rejected=self._gate.plans_rejected,
-        )
+        return [*reports, estimate]
 
 
 if __name__ == "__main__":

@@ -15,8 +15,7 @@ from benchmarks.fleet import controllers, plants
 from benchmarks.fleet.controllers import Controllers
 from benchmarks.fleet.fleet import Fleet
 from benchmarks.fleet.plants import Plants
-from benchmarks.processes import Process, Started, await_router
-from benchmarks.processor_time import read_times
+from benchmarks.processes import Process, Started, await_router, descendants
 
 LEAD_S = 0.5
 """Time from the last "ready" to t = 0."""
@@ -86,8 +85,8 @@ def receive(child: Process, within_s: float) -> bytes:
 
 def processor_s(process: Process) -> float:
     """Return the processor time of a process so far (s)."""
-    _, user_s, system_s = read_times(process.pid).get(process.pid, ("", 0.0, 0.0))
-    return user_s + system_s
+    times = descendants(process.pid).get(process.pid)
+    return 0.0 if times is None else times.user_s + times.system_s
 
 
 def row_of(

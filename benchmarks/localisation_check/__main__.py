@@ -47,15 +47,14 @@ def table(of: SimpleNamespace) -> str:
         f"{1e3 * of.velocity_reported_rms_mps:.2f}, bound {1e3 * of.velocity_bound_rms_mps:.2f}; "
         f"drift = {of.slope_s:.0f} s x velocity error, R2 {of.r2:.2f}",
         f"judged at a family-wise level of {100 * of.family_wise_level:g} % (Holm), {len(of.hypotheses)} hypotheses",
-        f"{'':<24} {'per dof':>8} {'+-':>6} {'p':>6} {'in 95 % band':>12} {'drawn':>8}",
+        f"{'':<24} {'per dof':>8} {'+-':>6} {'p':>6} {'in 95 % band':>12}",
     ]
     p = {one.name: one.p for one in of.hypotheses}
     for kind, quantities in (("NEES", of.nees), ("NIS", of.nis)):
         for one in quantities:
             mean = f"{one.per_dof:8.2f} {one.standard_error:6.2f} {p[check.mean_name(kind, one.name)]:6.2f}"
             judged = f"{100 * one.in_band:>10.0f} %" if one.draws >= MIN_DRAWS else f"{'few draws':>12}"
-            drawn = "" if one.drawn is None else f" {one.drawn:8.2f}"
-            lines.append(f"{kind:<4} {one.name:<19} {mean} {judged}{drawn}")
+            lines.append(f"{kind:<4} {one.name:<19} {mean} {judged}")
     return "\n".join(lines)
 
 

@@ -37,7 +37,6 @@ class Quantity(msgspec.Struct, frozen=True, kw_only=True):
     standard_error: float  # of per_dof, from the spread of the runs
     draws: float  # independent draws of a run over time
     in_band: float  # share of instants
-    drawn: float | None  # of true biases: per degree of freedom, these seeds' own deviation from 1
 
 
 def jobs(scenario: str, settings: Sequence[str], *, first_seed: int, runs: int) -> list[Job]:
@@ -88,7 +87,6 @@ def _quantities(records: Sequence[Record], kind: str) -> tuple[list[Quantity], l
         if mean.draws >= MIN_DRAWS:
             text = f"share of instants of {kind} of {name} in its band"
             of_shares.append((text, share, f">= {MIN_SHARE}", p_of_share(share, mean.draws)))
-        drawn = np.array([record.drawn[name] for record in records if kind == "NEES" and name in record.drawn])
         quantities.append(
             Quantity(
                 name=name,
@@ -96,7 +94,6 @@ def _quantities(records: Sequence[Record], kind: str) -> tuple[list[Quantity], l
                 standard_error=mean.standard_error,
                 draws=mean.draws,
                 in_band=share,
-                drawn=float(np.divide(*drawn.sum(axis=0))) if drawn.size else None,
             )
         )
     return quantities, of_means + of_shares

@@ -28,9 +28,8 @@ from scipy.sparse import csr_array, diags_array
 from scipy.sparse.linalg import splu
 from scipy.special import gammaincinv
 
-from ltv_mpc.frames import rotation, rotation_log
+from ltv_mpc.frames import rotation_log
 from ltv_mpc.localisation.filter.state import ACCELEROMETER_BIAS, ATTITUDE, GYRO_BIAS, POSITION, VELOCITY, Belief
-from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.messages import Array
 
 Mask = npt.NDArray[np.bool_]
@@ -160,30 +159,6 @@ def nees(belief: Belief, truth: TrueState, seen: Mask) -> dict[str, tuple[float,
         i = states[np.diagonal(P)[states] > 0]
         if len(i):
             result[name] = squared(e[i], P[np.ix_(i, i)]), len(i)
-    return result
-
-
-def drawn(truth: TrueState, sensor_config: SensorConfig) -> dict[str, tuple[float, int]]:
-    """Return normalised squares of the true biases by the sensor configuration, with their degrees of freedom.
-
-    Over few runs they show how far from 1 a NEES may be because of the seeds alone: a bias that is hardly observed
-    keeps its draw.
-    """
-    imu, adcp = sensor_config.imu, sensor_config.adcp
-    mounting_error = rotation_log(np.ascontiguousarray(truth.mounting @ rotation(*adcp.mounting_rad).T))
-    biases = {
-        "gyro_bias": [(truth.gyro_bias_radps, imu.gyro_bias_sd_radps)],
-        "accelerometer_bias": [(truth.accelerometer_bias_mps2, imu.accelerometer_bias_sd_mps2)],
-        "adcp_bias": [(truth.beam_bias_mps, adcp.beam_bias_sd_mps), (truth.near_bias_mps, adcp.near_bias_sd_mps)],
-        "compass_bias": [(np.array([truth.compass_bias_rad]), sensor_config.compass.bias_sd_rad)],
-        "mounting": [(mounting_error, adcp.mounting_known_to_rad)],
-    }
-    result = {}
-    for name, parts in biases.items():
-        scaled = [value / sd for value, sd in parts if sd > 0]
-        if scaled:
-            every = np.concatenate(scaled)
-            result[name] = float(every @ every), len(every)
     return result
 
 

@@ -14,13 +14,12 @@ import numpy as np
 import numpy.typing as npt
 
 from benchmarks.batch import Job
-from benchmarks.localisation_check.consistency import GridProjection, TrueState, drawn, nees, nodes_around, squared
+from benchmarks.localisation_check.consistency import GridProjection, TrueState, nees, nodes_around, squared
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.frames import rotation
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter, Innovations
 from ltv_mpc.localisation.filter.state import VELOCITY, Belief, grid
-from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.messages import AdcpPing, Array, Estimate, Message, Truth
 from ltv_mpc.node import Inbox, Node, ReceivedMessage
 from services.run.nodes import make_nodes
@@ -32,7 +31,6 @@ from sim.sensors.adcp import Profiler, beams
 from sim.sensors.compass import MagneticCompass
 from sim.sensors.imu import InertialUnit
 from sim.sensors.node import Sensors
-from sim.sensors.outlier_masks import HasOutliers
 
 LOOK_NS = 1_000_000_000
 """Period of the comparison of belief and truth."""
@@ -42,6 +40,9 @@ TRACK_NS = 100_000_000
 
 EIGENVALUE_NS = 10_000_000_000
 """Period of the smallest eigenvalue of the covariance, which costs as much as ten other comparisons."""
+
+OUTLIER_SD = 6.0
+"""Deviations of an innovation beyond which it is an outlier: one of the profiler's has 25."""
 
 N = TypeVar("N")
 
@@ -63,7 +64,6 @@ class Record(NamedTuple):
     bound_drift_m2: Array  # (2,) variance
     bound_velocity_m2ps2: Array  # (2,) variance at t = 0
     true_error_m: float  # mean distance of the vehicle from the line through where it was at t = 0
-    drawn: dict[str, tuple[float, int]]  # normalised squares of the true biases, with degrees of freedom
     nees: dict[str, Squares]
     nis: dict[str, Squares]
     min_eigenvalue: float
@@ -176,34 +176,27 @@ class SquaresLog:
 
 
 class InnovationLog:
-    """NIS of each sensor before the gate, without simulated outliers."""
+    """NIS of each sensor before the gate, without outliers: rows beyond ``OUTLIER_SD``."""
 
-    def __init__(self, sensors: Sensors) -> None:
+    def __init__(self) -> None:
         self.nis = SquaresLog()
-        self._outliers = {
-            name: unit.outlier_masks for name, unit in sensors.by_name.items() if isinstance(unit, HasOutliers)
-        }
 
     def add(self, innovations: Innovations) -> None:
         """Add the innovations of one message."""
-        good = np.ones(len(innovations.residual), dtype=bool)
-        masks = self._outliers.get(innovations.sensor)
-        if masks is not None and (outliers := masks.at(innovations.t_ns)) is not None:
-            good = ~(outliers.ravel()[innovations.indices] if outliers.size > 1 else outliers)
+        r, S = innovations.residual, innovations.S
+        good = r * r <= OUTLIER_SD**2 * np.diagonal(S)
         if good.any():
-            square = squared(innovations.residual[good], innovations.S[np.ix_(good, good)])
+            square = squared(r[good], S[np.ix_(good, good)])
             self.nis.add(innovations.sensor, innovations.t_ns, square, int(good.sum()))
 
 
 class ErrorLog:
     """Errors of the estimates, and checks of the covariance at whole seconds."""
 
-    def __init__(self, sensor_config: SensorConfig) -> None:
-        self._sensor_config = sensor_config
+    def __init__(self) -> None:
         self.error: dict[int, Array] = {}  # position and velocity, (4,), estimated minus true, by time
         self.nees = SquaresLog()
         self.velocity_m2ps2 = np.full(2, np.nan)  # reported variance at t = 0
-        self.drawn: dict[str, tuple[float, int]] = {}
         self.min_eigenvalue, self.asymmetry, self.missed = np.inf, 0.0, 0
 
     def add_estimate(self, estimate: Estimate, truth: Truth) -> None:
@@ -218,7 +211,6 @@ class ErrorLog:
             self.nees.add(name, t_ns, square, dof)
         if t_ns == 0:
             self.velocity_m2ps2 = np.diagonal(P)[VELOCITY][:2].copy()
-            self.drawn = drawn(true, self._sensor_config)
         self.asymmetry = max(self.asymmetry, float(np.abs(P - P.T).max()))
         if t_ns % EIGENVALUE_NS == 0:
             self.min_eigenvalue = min(self.min_eigenvalue, float(np.linalg.eigvalsh(P)[0]))
@@ -237,8 +229,8 @@ class Probe:
         self.truth: Truth | None = None  # the last
         self.true_states = TrueStates(run_config, sensors)
         self.observed = ObservedGridPoints(run_config, sensors)
-        self._innovations = InnovationLog(sensors)
-        self._errors = ErrorLog(run_config.sensor_config)
+        self._innovations = InnovationLog()
+        self._errors = ErrorLog()
         self._track: list[Truth] = []
         self._filter: ErrorStateFilter | None = None  # observed now
         self._beliefs: dict[int, Belief] = {}  # not compared with the truth yet
@@ -327,7 +319,6 @@ class Probe:
             bound_drift_m2=np.diagonal(limit.drift[1])[:2].copy(),
             bound_velocity_m2ps2=np.diagonal(limit.covariance[0])[3:5].copy(),
             true_error_m=self._true_error_m(),
-            drawn=errors.drawn,
             nees=self.nees,
             nis=self._innovations.nis.all(),
             min_eigenvalue=float(errors.min_eigenvalue),

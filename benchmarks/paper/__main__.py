@@ -59,14 +59,12 @@ def make(options: Namespace) -> tables.Figures:
     recorded = descents.recorded(options.runs, options.duration_s, workers=options.workers)
     claimed = claims.over_seeds(options.seeds, options.duration_s, workers=options.workers)
     timed = timing.timed(options.cycles)
-    synthetic = [water.synthetic(seed) for seed in range(water.SEEDS)]
     runs: dict[str, list[Run]] = {key: [run] for key, (run, _) in recorded.items()} | {
-        sheets.SYNTHETIC: [water.profile_run(one) for one in synthetic[: water.SHOWN_SEEDS]],
+        sheets.SYNTHETIC: [water.profile_run(water.synthetic(seed)) for seed in range(water.SHOWN_SEEDS)],
         sheets.MEASURED: [water.profile_run(one) for one in profiles],
-        sheets.STRUCTURE: [water.structure_run(synthetic, profiles)],
         sheets.TIMING: [timing.run(timed)],
     }
-    draw(options, runs, [one.name for one in profiles])
+    draw(options, runs)
     figures = tables.Figures(
         made_with=f"seed {descents.SEED} recorded, seeds 0 to {options.seeds - 1} averaged, {options.duration_s:g} s",
         machine=machine_description.line(timed.machine),
@@ -80,9 +78,9 @@ def make(options: Namespace) -> tables.Figures:
     return figures
 
 
-def draw(options: Namespace, runs: Mapping[str, Sequence[Run]], measured: Sequence[str]) -> None:
+def draw(options: Namespace, runs: Mapping[str, Sequence[Run]]) -> None:
     """Draw every figure as PNG and SVG, and the README's picture."""
-    for sheet in sheets.sheets(measured):
+    for sheet in sheets.SHEETS:
         sheets.write(sheet, runs, [options.out / f"{sheet.name}.png", options.runs / f"{sheet.name}.svg"])
     readme.write([run for variant in README for run in runs[variant.key]], options.readme)
 

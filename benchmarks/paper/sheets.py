@@ -15,7 +15,6 @@ from matplotlib.figure import Figure
 from benchmarks import sheet
 from benchmarks.paper import renderer
 from benchmarks.paper.renderer import Run
-from benchmarks.paper.structure import structure
 from services.reporting.plots import catalogue
 from services.reporting.plots.delays import CYCLE, STAGES
 from services.reporting.plots.description import Axis, Plot
@@ -27,8 +26,8 @@ OURS_SHORT, OURS_LONG, DEFAULT = "ours-2.5s", "ours-5s", "default"
 SYNTHETIC, MEASURED = "synthetic", "measured"
 """Groups of current profiles, in table ``profile`` like those of a run."""
 
-STRUCTURE, TIMING = "structure", "timing"
-"""Groups with one run each, which holds the tables of ``water.structure`` or of ``TIMES``."""
+TIMING = "timing"
+"""Group with one run, which holds the table of ``TIMES``."""
 
 THE_PAPER, OURS = "the paper's cost and delays", "this project's"
 
@@ -78,35 +77,32 @@ class Sheet(NamedTuple):
     panels: tuple[Panel, ...]
 
 
-def sheets(measured: Sequence[str]) -> tuple[Sheet, ...]:
-    """Return every figure; ``measured`` are the names of the measured profiles."""
-    return (
-        Sheet(
-            "fig03-currents",
-            5.0,
-            (
-                Panel("synthetic: first-order Gauss-Markov", PROFILES, (SYNTHETIC,)),
-                Panel("measured", PROFILES, (MEASURED,)),
-            ),
-        ),
-        Sheet("fig03-structure", 2.6, (Panel("", structure(measured), (STRUCTURE,)),)),
-        Sheet("fig04-current", 2.6, (Panel("", TRUE_CURRENT, (OURS_LONG,)),)),
-        Sheet("fig06-estimate", 8.0, (*_both(ESTIMATED[0], *CASES), *_both(ESTIMATED[1], *CASES))),
-        Sheet("fig07-tracking", 4.4, _both(TRACKING, *CASES)),
-        Sheet("fig08-thrust-2.5s", 3.6, _both(catalogue.THRUST, (PAPER_SHORT,), (OURS_SHORT,))),
-        Sheet("fig09-thrust-5s", 3.6, _both(catalogue.THRUST, (PAPER_LONG,), (OURS_LONG,))),
-        Sheet("fig10-true", 8.0, (*_both(TRUE[0], *CASES), *_both(TRUE[1], *CASES))),
-        Sheet(
-            "fig11-current-error",
-            8.0,
-            _both(CURRENT_ERROR[0], (PAPER_LONG,), (OURS_LONG,)) + _both(CURRENT_ERROR[1], (PAPER_LONG,), (OURS_LONG,)),
-        ),
-        Sheet("timing", 2.4, (Panel("cycles of this project, 5.1 s of horizon", TIMES, (TIMING,)),)),
-    )
-
-
 def _both(plot: Plot, papers: tuple[str, ...], ours: tuple[str, ...]) -> tuple[Panel, Panel]:
     return Panel(THE_PAPER, plot, papers), Panel(OURS, plot, ours)
+
+
+SHEETS = (
+    Sheet(
+        "fig03-currents",
+        5.0,
+        (
+            Panel("synthetic: first-order Gauss-Markov", PROFILES, (SYNTHETIC,)),
+            Panel("measured", PROFILES, (MEASURED,)),
+        ),
+    ),
+    Sheet("fig04-current", 2.6, (Panel("", TRUE_CURRENT, (OURS_LONG,)),)),
+    Sheet("fig06-estimate", 8.0, (*_both(ESTIMATED[0], *CASES), *_both(ESTIMATED[1], *CASES))),
+    Sheet("fig07-tracking", 4.4, _both(TRACKING, *CASES)),
+    Sheet("fig08-thrust-2.5s", 3.6, _both(catalogue.THRUST, (PAPER_SHORT,), (OURS_SHORT,))),
+    Sheet("fig09-thrust-5s", 3.6, _both(catalogue.THRUST, (PAPER_LONG,), (OURS_LONG,))),
+    Sheet("fig10-true", 8.0, (*_both(TRUE[0], *CASES), *_both(TRUE[1], *CASES))),
+    Sheet(
+        "fig11-current-error",
+        8.0,
+        _both(CURRENT_ERROR[0], (PAPER_LONG,), (OURS_LONG,)) + _both(CURRENT_ERROR[1], (PAPER_LONG,), (OURS_LONG,)),
+    ),
+    Sheet("timing", 2.4, (Panel("cycles of this project, 5.1 s of horizon", TIMES, (TIMING,)),)),
+)
 
 
 def write(content: Sheet, runs: Mapping[str, Sequence[Run]], files: Sequence[Path]) -> None:

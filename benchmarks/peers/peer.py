@@ -1,7 +1,9 @@
 """Base of all peers: a solver of the controller that takes a linearisation and finds commands at the knots.
 
-Peers that solve the nonlinear problem take from the linearisation only what it was taken along: the state at the start,
-the command in force, the current, and the commands to start from.
+A solver is given the problem alone (ltv_mpc/control/ocp/problem.py). Every controller that is made after the import of
+this file keeps the trajectory that it linearises along, and the target. Peers that solve the nonlinear problem take
+from it only what it was taken along: the state at the start, the command in force, the current, and the commands to
+start from.
 """
 
 from __future__ import annotations
@@ -10,14 +12,30 @@ from typing import ClassVar
 
 import numpy as np
 
-from benchmarks import along
+from ltv_mpc.control import controller
 from ltv_mpc.control.config import ResolvedConfig
 from ltv_mpc.control.horizon_limits import HorizonLimits
+from ltv_mpc.control.lateral import LateralPlanner
 from ltv_mpc.control.linearisation import Linearisation
-from ltv_mpc.control.ocp.problem import Problem
+from ltv_mpc.control.ocp.problem import Problem, roll_out
+from ltv_mpc.control.problem_data import CHANGES
 from ltv_mpc.control.solvers.interface import Result
 from ltv_mpc.messages import Array, Solve, SolveStatus
 from ltv_mpc.vehicle.parameters import Vehicle
+
+_now: list[tuple[Linearisation, Array]] = []
+"""What the QP that is being solved was made from; the next cycle overwrites it."""
+
+
+class _Planner(LateralPlanner):
+    """The controller's planner."""
+
+    def _run_solver(self, problem: Problem, shift: float, *, last: bool) -> Result:
+        _now[:] = [(self._cycle.lin, self._cycle.target[:, :2])]
+        return super()._run_solver(problem, shift, last=last)
+
+
+controller.LateralPlanner = _Planner  # type: ignore[misc]
 
 
 class Peer:
@@ -25,7 +43,6 @@ class Peer:
 
     name: ClassVar[str]
     solves: ClassVar[str]
-    packages: ClassVar[tuple[str, ...]]
     settings: ClassVar[str]  # what differs from the tool's defaults, and why
 
     def __init__(self, config: ResolvedConfig, limits: HorizonLimits, vehicle: Vehicle) -> None:
@@ -37,12 +54,12 @@ class Peer:
     @property
     def lin(self) -> Linearisation:
         """The motion that the problem was made along."""
-        return along.now().lin
+        return _now[0][0]
 
     @property
     def reference(self) -> Array:
         """Positions (N, 2) wanted; what is held is a point, so no velocity is wanted at the end."""
-        return along.now().target[:-1]
+        return _now[0][1][:-1]
 
     def shift_warm_start(self, stages: float) -> None:
         """Shift the warm start by this number of stages."""
@@ -67,5 +84,7 @@ class Peer:
             solve = Solve(status=SolveStatus.FAILED, iterations=iterations, why=why or "not finite")
             return Result(np.zeros_like(self.problem.h), solve)
         commands = np.vstack([self.lin.U[:1], following])
-        z = along.solution(self.problem, commands, self.lin.U, self.limits)
+        z = np.zeros_like(self.problem.h)
+        z[:-1, CHANGES:] = np.diff((commands - self.lin.U) / self.limits.thrust_scale, axis=0)
+        roll_out(self.problem, z)
         return Result(z, Solve(status=SolveStatus.SOLVED, iterations=iterations))

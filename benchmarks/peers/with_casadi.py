@@ -37,7 +37,6 @@ class CasadiIpopt(Peer):
 
     name = "CasADi + IPOPT"
     solves = "NLP"
-    packages = ("casadi",)
     settings = "multiple shooting, MUMPS, expand, warm_start_init_point with 1e-6 pushes, mu_strategy adaptive"
 
     def __init__(self, config: ResolvedConfig, limits: HorizonLimits, vehicle: Vehicle) -> None:

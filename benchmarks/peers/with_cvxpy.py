@@ -28,7 +28,6 @@ class CvxpyOsqp(Peer):
 
     name = "cvxpy + OSQP"
     solves = "QP"
-    packages = ("cvxpy", "osqp")
     settings = "DPP, one sparse parameter for the dynamics, warm_start=True; OSQP as cvxpy sets it"
 
     def __init__(self, config: ResolvedConfig, limits: HorizonLimits, vehicle: Vehicle) -> None:

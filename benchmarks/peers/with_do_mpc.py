@@ -34,7 +34,6 @@ class DoMpcIpopt(Peer):
 
     name = "do-mpc + IPOPT"
     solves = "NLP"
-    packages = ("do-mpc", "casadi")
     settings = "collocation (Radau, degree 2, one element), MUMPS: its defaults; nothing stored"
 
     def __init__(self, config: ResolvedConfig, limits: HorizonLimits, vehicle: Vehicle) -> None:

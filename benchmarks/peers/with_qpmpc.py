@@ -34,7 +34,6 @@ class QpmpcDaqp(Peer):
 
     name = "qpmpc + DAQP"
     solves = "QP"
-    packages = ("qpmpc", "daqp")
     settings = "dense, defaults"
 
     def __init__(self, config: ResolvedConfig, limits: HorizonLimits, vehicle: Vehicle) -> None:

@@ -21,7 +21,6 @@ class ScipyLeastSquares(Peer):
 
     name = "scipy least_squares"
     solves = "NLP"
-    packages = ("scipy",)
     settings = "trf with bounds, 2-point differences, commands over their maxima; defaults otherwise; no slew limit"
 
     def solve(self) -> Result:

@@ -31,7 +31,6 @@ class Found(NamedTuple):
 
     values: dict[str, float]
     cost: float
-    history: list[float]  # the best cost so far, after each trial
 
 
 def search(
@@ -45,13 +44,11 @@ def search(
     names, rng = list(spans), np.random.default_rng(seed)
     low, high = np.log([spans[name] for name in names]).T
     tried: list[tuple[float, Array]] = []
-    history: list[float] = []
 
     def judge(shares: Array) -> None:
         trials = [dict(zip(names, np.exp(low + share * (high - low)).tolist(), strict=True)) for share in shares]
         for share, cost in zip(shares, costs(trials), strict=True):
             tried.append((cost if np.isfinite(cost) else np.inf, share))
-            history.append(min(cost for cost, _ in tried))
 
     judge(qmc.Sobol(len(names), scramble=True, rng=rng).random(budget // 2))
     while len(tried) < budget:
@@ -62,4 +59,4 @@ def search(
         judge((best + width * rng.standard_normal((count, len(names)))).clip(0.0, 1.0))
     cost, share = min(tried, key=lambda one: one[0])
     values = dict(zip(names, np.exp(low + share * (high - low)).tolist(), strict=True))
-    return Found(values, cost, history)
+    return Found(values, cost)

@@ -15,16 +15,14 @@ def main() -> None:
     """Fly and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", nargs="?", choices=("hold", "tasks"), default="tasks")
-    parser.add_argument("--quick", action="store_true", help="fewer rows, one start")
     parser.add_argument("--starts", type=int, default=3, help="of each row; of `hold`: the worst rows have 20")
     parser.add_argument("--jobs", type=int, default=2, help="processes")
     parser.add_argument("--write", action="store_true", help=f"write {page.PAGE}")
     options = parser.parse_args()
     if options.what == "hold":
-        print(hold.report(hold.run(quick=options.quick, starts=options.starts, workers=options.jobs)))
+        print(hold.report(hold.run(hold.matrix(), starts=options.starts, workers=options.jobs)))
     else:
-        starts = 1 if options.quick else options.starts
-        text = page.text(page.run(starts=starts, workers=options.jobs), starts)
+        text = page.text(page.run(starts=options.starts, workers=options.jobs), options.starts)
         print(text)
         if options.write:
             page.PAGE.write_text(text)

@@ -19,7 +19,7 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from benchmarks.strangers import catamaran, ellipsoid, light_boat, model_plant
+from benchmarks.strangers import catamaran, ellipsoid, light_boat
 from benchmarks.strangers.rigid_body import Hull, Plant
 from ltv_mpc import Controller, ControllerConfig, Estimate, Vehicle
 from ltv_mpc.messages import Applied, Array, Health, Pair, Plan
@@ -48,7 +48,37 @@ def load(name: str) -> tuple[Hull, Vehicle]:
     if name in FOREIGN:
         return FOREIGN[name](), Vehicle.load(str(HERE / f"{name}.toml"))
     vehicle = Vehicle.load(name)
-    return model_plant.hull(vehicle), vehicle
+    return model_hull(vehicle), vehicle
+
+
+def model_hull(vehicle: Vehicle) -> Hull:
+    """Return the controller's own equations with the parameters of a vehicle file, as a hull.
+
+    M nu' + C(nu) nu = f with a diagonal M of surge, sway and yaw is the model of ``vehicle/template.toml``. The thrust
+    itself follows the command with the lag. Heave, roll and pitch are not excited.
+    """
+    surge, sway, yaw, port = vehicle.surge, vehicle.sway, vehicle.yaw, vehicle.thrusters[0]
+    return Hull(
+        name=vehicle.name,
+        M=np.diag([surge.mass_kg, sway.mass_kg, sway.mass_kg, 1.0, 1.0, yaw.inertia_kgm2]),
+        D=np.diag([surge.linear_damping_kgps, sway.linear_damping_kgps, 1.0, 1.0, 1.0, yaw.linear_damping_Nms]),
+        quadratic=np.array(
+            [
+                surge.quadratic_damping_kgpm,
+                sway.quadratic_damping_kgpm,
+                0.0,
+                0.0,
+                0.0,
+                yaw.quadratic_damping_kgm2,
+            ]
+        ),
+        centre_of_gravity=(0.0, 0.0, 0.0),
+        max_N=port.max_N,
+        min_N=port.min_N,
+        arms_m=(port.arm_m, vehicle.thrusters[1].arm_m),
+        lag_s=port.lag_s,
+        lag_of_revolutions=False,
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -61,16 +61,15 @@ class Figures(NamedTuple):
     share: float
 
 
-def matrix(*, quick: bool = False) -> list[Row]:
-    """Return all rows; ``quick``: the foreign hulls and one shipped vehicle, at two offsets and in two currents."""
-    vehicles = [*FOREIGN, "paper"] if quick else [*FOREIGN, *SHIPPED]
-    offsets = (0.05, 0.15) if quick else OFFSETS_M
-    points = [(0.0, 0.0), *((a * m, s * m) for m in offsets for a, s in DIRECTIONS)]
+def matrix() -> list[Row]:
+    """Return all rows."""
+    vehicles = [*FOREIGN, *SHIPPED]
+    points = [(0.0, 0.0), *((a * m, s * m) for m in OFFSETS_M for a, s in DIRECTIONS)]
     return [
         Row(vehicle, *point, current, reports)
         for vehicle in vehicles
         for point in points
-        for current in ((0.0, 0.1) if quick else CURRENTS_MPS)
+        for current in CURRENTS_MPS
         for reports in (True, False)
     ] + [Row(vehicle, reports=reports, noise_m=NOISE_M) for vehicle in vehicles for reports in (True, False)]
 
@@ -104,13 +103,12 @@ def share(figures: Sequence[Figures]) -> float:
     return max(one.share for one in figures)
 
 
-def run(*, quick: bool = False, starts: int = STARTS, workers: int | None = None) -> dict[Row, list[Figures]]:
-    """Fly the whole matrix from a few starts, and the worst rows from more."""
-    found = fly_rows(matrix(quick=quick), range(1 if quick else starts), workers)
-    if not quick:
-        worst = sorted(found, key=lambda row: -share(found[row]))[:WORST_ROWS]
-        for row, figures in fly_rows(worst, range(starts, WORST_STARTS), workers).items():
-            found[row] += figures
+def run(rows: Sequence[Row], *, starts: int = STARTS, workers: int | None = None) -> dict[Row, list[Figures]]:
+    """Fly all rows from a few starts, and the worst ones from more."""
+    found = fly_rows(rows, range(starts), workers)
+    worst = sorted(found, key=lambda row: -share(found[row]))[:WORST_ROWS]
+    for row, figures in fly_rows(worst, range(starts, max(starts, WORST_STARTS)), workers).items():
+        found[row] += figures
     return found
 
 

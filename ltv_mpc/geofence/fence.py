@@ -127,15 +127,26 @@ class Fence(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
     def zones(self) -> Iterator[ZoneInForce]:
         """Yield the zones in the local frame: keep-in polygons, keep-out polygons, keep-out discs."""
-        for table, polygons in (("keep_in", self.keep_in), ("keep_out", self.keep_out)):
-            for k, polygon in enumerate(polygons):
-                label = _label(table, k, polygon)
-                vertices = [self._local(place, f"{label}: vertices[{i}]") for i, place in enumerate(polygon.vertices)]
-                yield _zone(label, polygon, np.array(vertices), 0.0, self.margin_m, keep_in=table == "keep_in")
-        for k, disc in enumerate(self.keep_out_disc):
-            label = _label("keep_out_disc", k, disc)
-            centre = np.array([self._local(disc.centre, f"{label}: centre")])
-            yield _zone(label, disc, centre, disc.radius_m, self.margin_m, keep_in=False)
+        for table in ("keep_in", "keep_out", "keep_out_disc"):
+            zones: tuple[Polygon | Disc, ...] = getattr(self, table)
+            for k, zone in enumerate(zones):
+                label = f'{table}[{k}] "{zone.name}"' if zone.name else f"{table}[{k}]"
+                yield self._in_force(zone, label, keep_in=table == "keep_in")
+
+    def _in_force(self, zone: Polygon | Disc, label: str, *, keep_in: bool) -> ZoneInForce:
+        """Return a zone in the local frame; whole numbers become floats, for which alone kernels are compiled."""
+        if isinstance(zone, Disc):
+            radius_m, vertices = zone.radius_m, [self._local(zone.centre, f"{label}: centre")]
+        else:
+            places = enumerate(zone.vertices)
+            radius_m, vertices = 0.0, [self._local(place, f"{label}: vertices[{i}]") for i, place in places]
+        return ZoneInForce(
+            label=label,
+            keep_in=keep_in,
+            vertices_m=np.array(vertices, dtype=float),
+            radius_m=float(radius_m),
+            margin_m=float(self.margin_m if zone.margin_m is None else zone.margin_m),
+        )
 
     def _local(self, place: Place, where: str) -> tuple[float, float]:
         if place.depth_m is not None:
@@ -144,17 +155,6 @@ class Fence(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
             return local(place, self.origin)
         except ValueError as error:
             raise ValueError(f"{where}: {error}") from None
-
-
-def _zone(label: str, of: Zone, vertices: Array, radius_m: float, margin_m: float, *, keep_in: bool) -> ZoneInForce:
-    """Return a zone in which whole numbers are floats: kernels are compiled for these alone."""
-    return ZoneInForce(
-        label=label,
-        keep_in=keep_in,
-        vertices_m=vertices.astype(float),
-        radius_m=float(radius_m),
-        margin_m=float(margin_m if of.margin_m is None else of.margin_m),
-    )
 
 
 def ring_problem(vertices: Array) -> str:
@@ -240,7 +240,3 @@ def hull_radius_m(vehicle: Vehicle) -> float:
     if vehicle.hull is None:
         raise ConfigError(f"vehicle {vehicle.name}", "[hull]", "is missing: a fence needs length_m and beam_m")
     return vehicle.hull.radius_m
-
-
-def _label(table: str, number: int, zone: Zone) -> str:
-    return f'{table}[{number}] "{zone.name}"' if zone.name else f"{table}[{number}]"

@@ -134,7 +134,7 @@ class Estimator:
             self._account["checkpoint.other_settings"] += 1
             return
         self._alignment = WarmRestart(self._sensor_config, self._config, belief, state.estimate)
-        self._supervision.restore(state.restarts)
+        self._supervision.reinitialisation.count = state.restarts
 
     def _take(self, message: ImuSample | Measurement) -> None:
         """Use a message that has passed the screening: for the alignment, then for the filter."""
@@ -163,9 +163,10 @@ class Estimator:
         belief = filter_.belief
         self._schedule.is_open = False
         self._out.append(estimate(filter_, self._depth_m, self._altimeter.altitude_m(belief)))
-        if self._supervision.is_report_due(belief.t_ns):
+        if belief.t_ns >= self._supervision.report_ns:
             self._out.append(self._supervision.report(self.account))
-        due = self._checkpoints.is_due(belief) and not self._supervision.is_inconsistent and is_usable(belief)
-        if due:  # a restart must not continue from an inconsistent filter
+        past = self._supervision.reinitialisation
+        # A restart must not continue from an inconsistent filter.
+        if self._checkpoints.is_due(belief) and not past.is_inconsistent and is_usable(belief):
             self._checkpoints.advance(belief)
-            self._out.append(checkpoint_of(filter_, self._settings, self._supervision.restarts))
+            self._out.append(checkpoint_of(filter_, self._settings, past.count))

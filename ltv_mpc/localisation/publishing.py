@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 
@@ -32,8 +32,6 @@ CHECKPOINT_NS = 5_000_000_000
 SUBMERGED_M, SURFACED_M = 1.0, 0.5
 """Depths between which the vehicle keeps its side of the surface: submerged below the first, surfaced above the
 second."""
-
-_Open: TypeAlias = tuple[int, bool]
 
 
 class EstimateSchedule:
@@ -92,21 +90,6 @@ class EstimateSchedule:
         """
         if self.is_open and kind in self._awaited:
             self._awaited.remove(kind)
-
-    def suspend(self) -> _Open:
-        """Close the schedule while past messages are applied again; return its state for ``resume``."""
-        state = self.next_ns, self.is_open
-        self.is_open = False
-        return state
-
-    def resume(self, state: _Open) -> None:
-        """Continue where ``suspend`` was called.
-
-        Parameters
-        ----------
-        state : what ``suspend`` returned.
-        """
-        self.next_ns, self.is_open = state
 
     def _due(self, t_ns: int) -> list[type[Any]]:
         """Return the types of the messages that are valid at ``t_ns`` and arrive without latency."""

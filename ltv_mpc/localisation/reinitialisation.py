@@ -19,6 +19,7 @@ Time    The new filter starts at the last heading that 0.2 s of samples have fol
 
 from __future__ import annotations
 
+import copy
 import math
 from collections import deque
 from collections.abc import Sequence
@@ -61,14 +62,6 @@ class GoodPosition(NamedTuple):
     variance_m2: float  # of the position, the larger one of both axes
 
 
-class PastBeliefs(NamedTuple):
-    """Stored positions and beliefs of a filter, for a shadow filter that takes over (``shadow_filter.py``)."""
-
-    positions: tuple[GoodPosition, ...]
-    beliefs: tuple[Belief, ...]
-    last_ns: int | None
-
-
 def is_finite(belief: Belief) -> bool:
     """Return True if a few entries of the belief are finite, a quick check for every message.
 
@@ -96,9 +89,9 @@ class Reinitialisation:
         prior : water known from an earlier dive; None: that of ``config``.
         """
         self.count = 0
+        self.inconsistent_since_ns: int | None = None
         self._sensor_config, self._config, self._prior = sensor_config, config, prior
         self._positions: deque[GoodPosition] = deque(maxlen=_MAX_POSITIONS)
-        self._inconsistent_since_ns: int | None = None
         self._last_ns: int | None = None
         self._beliefs: deque[Belief] = deque(maxlen=_MAX_POSITIONS * 1_000_000_000 // BELIEF_NS)
         self._known: Belief | None = None  # the next filter takes its water from it
@@ -111,16 +104,7 @@ class Reinitialisation:
     @property
     def is_inconsistent(self) -> bool:
         """True while the innovations of the filter are inconsistent."""
-        return self._inconsistent_since_ns is not None
-
-    def became_inconsistent(self, t_ns: int) -> bool:
-        """Return True if the innovations became inconsistent at this second, ``t_ns``.
-
-        Parameters
-        ----------
-        t_ns : time of the report (ns).
-        """
-        return self._inconsistent_since_ns == t_ns
+        return self.inconsistent_since_ns is not None
 
     def recent(self, t_ns: int) -> bool:
         """Return True if a new filter has started within the last ``RESTARTED_NS`` before ``t_ns``.
@@ -144,13 +128,13 @@ class Reinitialisation:
         if broken or not is_usable(belief):
             return self.has_good_position
         if status is FilterStatus.NOMINAL:
-            self._inconsistent_since_ns = None
-        elif self._inconsistent_since_ns is None:
-            self._inconsistent_since_ns = t_ns
+            self.inconsistent_since_ns = None
+        elif self.inconsistent_since_ns is None:
+            self.inconsistent_since_ns = t_ns
         x, P = belief.x, belief.P
         variance = float(max(P[0, 0], P[1, 1]))
         self._positions.append(GoodPosition(t_ns, x[:2].copy(), x[3:5].copy(), variance))
-        return self._inconsistent_since_ns is not None and t_ns - self._inconsistent_since_ns >= MAX_INCONSISTENT_NS
+        return self.inconsistent_since_ns is not None and t_ns - self.inconsistent_since_ns >= MAX_INCONSISTENT_NS
 
     def is_belief_due(self, t_ns: int) -> bool:
         """Return True if the whole belief of a consistent filter is to be stored at ``t_ns``.
@@ -190,7 +174,7 @@ class Reinitialisation:
         self._beliefs.clear()
         self.count += 1
         self._last_ns = now_ns
-        self._inconsistent_since_ns = None
+        self.inconsistent_since_ns = None
         elapsed_s = (t_ns - good.t_ns) * 1e-9
         replace, sensor_config = msgspec.structs.replace, self._sensor_config
         sd_m = math.hypot(math.sqrt(good.variance_m2), VELOCITY_SD_MPS * elapsed_s)
@@ -211,20 +195,12 @@ class Reinitialisation:
                 alignment.take(message)
         return alignment
 
-    def past_beliefs(self) -> PastBeliefs:
-        """Return the stored positions and beliefs."""
-        return PastBeliefs(tuple(self._positions), tuple(self._beliefs), self._last_ns)
-
-    def restore(self, past_beliefs: PastBeliefs) -> None:
-        """Continue from stored positions and beliefs, because the filter to which they belong has taken over.
-
-        Parameters
-        ----------
-        past_beliefs : result of ``past_beliefs`` before the reinitialisation.
-        """
-        self._positions = deque(past_beliefs.positions, maxlen=_MAX_POSITIONS)
-        self._beliefs = deque(past_beliefs.beliefs, maxlen=self._beliefs.maxlen)
-        self._last_ns, self._inconsistent_since_ns = past_beliefs.last_ns, None
+    def fork(self) -> Reinitialisation:
+        """Return a copy for a filter whose innovations have just become inconsistent, and may be right nevertheless."""
+        other = copy.copy(self)
+        other._positions, other._beliefs = self._positions.copy(), self._beliefs.copy()
+        other.inconsistent_since_ns = None
+        return other
 
     def restore_water(self, belief: Belief) -> bool:
         """Copy the water and profiler states of the last good belief, with their covariance, into a new belief.
@@ -256,7 +232,7 @@ class Reinitialisation:
 
     def _good(self, t_ns: int) -> GoodPosition:
         """Return the newest position before the window that was affected, or the oldest one."""
-        since_ns = t_ns if self._inconsistent_since_ns is None else self._inconsistent_since_ns
+        since_ns = t_ns if self.inconsistent_since_ns is None else self.inconsistent_since_ns
         before = [position for position in self._positions if position.t_ns <= since_ns - WINDOW_NS]
         return before[-1] if before else self._positions[0]
 

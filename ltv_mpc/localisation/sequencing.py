@@ -110,12 +110,12 @@ class Sequencing:
 
         Parameters
         ----------
-        messages : in the order in which they were first applied.
+        messages : before the next estimate, in the order in which they were first applied.
         """
-        state = self._schedule.suspend()
+        was_open, self._schedule.is_open = self._schedule.is_open, False
         for message in messages:
             self.apply(message)
-        self._schedule.resume(state)
+        self._schedule.is_open = was_open
 
     def _required(self) -> MeasurementBuffer:
         assert self._buffer is not None, "set_filter() must be called first"
@@ -161,4 +161,4 @@ class Sequencing:
         if isinstance(message, AdcpPing):
             buffer.adapt()
         if self.shadow is not None:
-            self.shadow.correct(message)
+            self.shadow.use(message)

@@ -25,9 +25,8 @@ from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter, Inn
 from ltv_mpc.localisation.filter.state import VELOCITY
 from ltv_mpc.localisation.health import ESSENTIAL
 from ltv_mpc.localisation.out_of_sequence import MeasurementBuffer
-from ltv_mpc.localisation.reinitialisation import PastBeliefs
+from ltv_mpc.localisation.reinitialisation import Reinitialisation
 from ltv_mpc.localisation.sensors.sensor import Measurement
-from ltv_mpc.messages import ImuSample
 
 MAX_AGE_NS = 60_000_000_000
 """Vehicle time after which the copy is discarded."""
@@ -50,30 +49,24 @@ REQUIRED = ("adcp", "pressure")
 """Essential sensors that the agreement requires. Bottom track may be absent: the bottom can be out of range."""
 
 
-class ShadowFilter:
-    """Copy of a filter that follows the active one step by step."""
+class ShadowFilter(MeasurementBuffer):
+    """Copy of a filter that follows the active one step by step, with a buffer of its own."""
 
-    def __init__(self, filter_: ErrorStateFilter, spacing_ns: int, past_beliefs: PastBeliefs) -> None:
+    def __init__(self, filter_: ErrorStateFilter, spacing_ns: int, past: Reinitialisation) -> None:
         """Copy a filter whose innovations have just become inconsistent.
 
         Parameters
         ----------
         filter_ : the active filter.
         spacing_ns : time between two snapshots of its buffer (ns).
-        past_beliefs : good positions and beliefs up to now, to be restored if the copy takes over.
+        past : its good positions and beliefs up to now, for the time after the copy has taken over.
         """
-        copy = filter_.fork()
-        copy.observers.append(self._observe)
-        self._buffer = MeasurementBuffer(copy, spacing_ns)
-        self.past_beliefs = past_beliefs
-        self._until_ns = copy.belief.t_ns + MAX_AGE_NS
+        super().__init__(filter_.fork(), spacing_ns)
+        self.filter.observers.append(self._observe)
+        self.past = past
+        self._until_ns = self.filter.belief.t_ns + MAX_AGE_NS
         self._has_rejected = False
         self._agreed: dict[str, deque[bool]] = {name: deque(maxlen=MIN_AGREEING) for name in ESSENTIAL}
-
-    @property
-    def filter(self) -> ErrorStateFilter:
-        """The copy."""
-        return self._buffer.filter
 
     @property
     def expired(self) -> bool:
@@ -100,25 +93,15 @@ class ShadowFilter:
             self.filter.belief.x, current.belief.x
         )
 
-    def advance(self, t_ns: int, sample: ImuSample) -> None:
-        """Propagate the copy.
-
-        Parameters
-        ----------
-        t_ns : time to propagate to (ns).
-        sample : inertial sample that covers this time.
-        """
-        self._buffer.advance(t_ns, sample)
-
-    def correct(self, message: Measurement) -> None:
+    def use(self, message: Measurement) -> None:
         """Correct the copy by a measurement of its own time, or by a late one that it can still use.
 
         Parameters
         ----------
         message : measurement that the active filter uses too.
         """
-        if message.t_ns == self.filter.belief.t_ns or self._buffer.is_within_reach(message.t_ns):
-            self._buffer.use(message)
+        if message.t_ns == self.filter.belief.t_ns or self.is_within_reach(message.t_ns):
+            super().use(message)
 
     def _observe(self, innovations: Innovations) -> None:
         if innovations.sensor in self._agreed and len(innovations.accepted):

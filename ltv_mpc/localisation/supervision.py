@@ -61,35 +61,15 @@ class Supervision:
         account : counts by "<sensor>.<outcome>"; those of a replaced filter are added to it.
         """
         self._sensor_config, self._config = sensor_config, config
-        self._sequencing = sequencing
-        self._account = account
+        self._sequencing, self._account = sequencing, account
         self._monitor = HealthMonitor(sensor_config, config.gate_probability)
-        self._reinitialisation = Reinitialisation(sensor_config, config, prior)
+        self.reinitialisation = Reinitialisation(sensor_config, config, prior)
         self._recent: deque[ImuSample | Measurement] = deque(maxlen=_MAX_RECENT)
         self._replacement: Alignment | None = None  # of the filter that will replace the diverged one
         self._shadow: ShadowFilter | None = None
         self._samples = InnovationSamples()
         self._restarted: tuple[int, str] | None = None  # time of a warm restart or shadow's takeover (ns), and why
-        self._report_ns = 0  # of the next report
-
-    @property
-    def restarts(self) -> int:
-        """Number of reinitialisations, those before a warm restart included."""
-        return self._reinitialisation.count
-
-    @property
-    def is_inconsistent(self) -> bool:
-        """True while the filter's innovations are inconsistent."""
-        return self._reinitialisation.is_inconsistent
-
-    def restore(self, restarts: int) -> None:
-        """Continue to count reinitialisations from a checkpoint's number.
-
-        Parameters
-        ----------
-        restarts : reinitialisations up to the checkpoint.
-        """
-        self._reinitialisation.count = restarts
+        self.report_ns = 0  # of the next report
 
     def begin(self, belief: Belief, *, warm: bool) -> None:
         """Start the first filter.
@@ -99,7 +79,7 @@ class Supervision:
         belief : the aligned belief.
         warm : it continues from a checkpoint.
         """
-        self._report_ns = (belief.t_ns // REPORT_NS + 1) * REPORT_NS
+        self.report_ns = (belief.t_ns // REPORT_NS + 1) * REPORT_NS
         if warm:
             self._restarted = belief.t_ns, "restarted from a checkpoint"
         self._set_filter(ErrorStateFilter(self._sensor_config, self._config, belief))
@@ -121,21 +101,12 @@ class Supervision:
     def check(self) -> None:
         """Replace the filter if it is not finite, its replacement is aligned, or its shadow filter is to take over."""
         active = self._active()
-        if self._replacement is None and not is_finite(active.belief) and self._reinitialisation.has_good_position:
-            self._replacement = self._reinitialisation.begin(active.belief.t_ns, self._recent)
+        if self._replacement is None and not is_finite(active.belief) and self.reinitialisation.has_good_position:
+            self._replacement = self.reinitialisation.begin(active.belief.t_ns, self._recent)
         if self._replacement is not None and not self._replacement.waiting_for:
             self._reinitialise(active, self._replacement)
         if self._shadow is not None:
             self._compare(self._active(), self._shadow)
-
-    def is_report_due(self, t_ns: int) -> bool:
-        """Return True if the report of this second is still due.
-
-        Parameters
-        ----------
-        t_ns : time of the estimate (ns).
-        """
-        return t_ns >= self._report_ns
 
     def report(self, account: Mapping[str, int]) -> LocalisationReport:
         """Judge the filter over the last second; begin a reinitialisation or a shadow filter if that is necessary.
@@ -150,7 +121,7 @@ class Supervision:
         """
         filter_ = self._active()
         t_ns = filter_.belief.t_ns
-        self._report_ns = (t_ns // REPORT_NS + 1) * REPORT_NS
+        self.report_ns = (t_ns // REPORT_NS + 1) * REPORT_NS
         sensors = self._monitor.sensors(t_ns, account)
         status, why = filter_status(sensors)
         if filter_.process_noise.is_inconsistent(t_ns) and status is FilterStatus.NOMINAL:
@@ -163,16 +134,15 @@ class Supervision:
     def _react(self, filter_: ErrorStateFilter, status: FilterStatus) -> None:
         """Begin a reinitialisation or a shadow filter, or store a good belief."""
         t_ns = filter_.belief.t_ns
-        if self._replacement is None and self._reinitialisation.watch(
+        if self._replacement is None and self.reinitialisation.watch(
             filter_.belief, status, broken=self._monitor.broken
         ):
-            self._replacement = self._reinitialisation.begin(t_ns, self._recent)
-        elif self._reinitialisation.became_inconsistent(t_ns) and self._shadow is None:
-            self._set_shadow(
-                ShadowFilter(filter_, snapshot_spacing_ns(self._sensor_config), self._reinitialisation.past_beliefs())
-            )
-        elif self._reinitialisation.is_belief_due(t_ns) and is_usable(filter_.belief):
-            self._reinitialisation.store(filter_.propagated_belief())
+            self._replacement = self.reinitialisation.begin(t_ns, self._recent)
+        elif self.reinitialisation.inconsistent_since_ns == t_ns and self._shadow is None:
+            spacing_ns = snapshot_spacing_ns(self._sensor_config)
+            self._set_shadow(ShadowFilter(filter_, spacing_ns, self.reinitialisation.fork()))
+        elif self.reinitialisation.is_belief_due(t_ns) and is_usable(filter_.belief):
+            self.reinitialisation.store(filter_.propagated_belief())
 
     def _published(
         self, filter_: ErrorStateFilter, status: FilterStatus, why: str, walk: float, sensors: tuple[SensorReport, ...]
@@ -181,7 +151,7 @@ class Supervision:
         t_ns = filter_.belief.t_ns
         if self._restarted is not None and t_ns - self._restarted[0] < RESTARTED_NS:
             status, why = FilterStatus.RESTARTED, why or self._restarted[1]
-        elif self._reinitialisation.recent(t_ns):
+        elif self.reinitialisation.recent(t_ns):
             status, why = FilterStatus.RESTARTED, why or "reinitialised at its last good position"
         elif status is FilterStatus.NOMINAL and walk > 0.0:
             status, why = (
@@ -194,7 +164,7 @@ class Supervision:
             t_ns=t_ns,
             status=status,
             why=why,
-            restarts=self._reinitialisation.count,
+            restarts=self.reinitialisation.count,
             water_walk_mps_per_rts=walk,
             sensors=sensors,
             innovations=self._samples.take(),
@@ -222,7 +192,7 @@ class Supervision:
         self._monitor.reset()
         belief, since = alignment.belief()
         # The prior of unknown water is wide: its first motion must not be detected as a front.
-        adapts_from_ns = None if self._reinitialisation.restore_water(belief) else belief.t_ns + RESTARTED_NS
+        adapts_from_ns = None if self.reinitialisation.restore_water(belief) else belief.t_ns + RESTARTED_NS
         new = ErrorStateFilter(self._sensor_config, self._config, belief, adapts_from_ns=adapts_from_ns)
         self._set_filter(new)
         self._sequencing.reapply([message for message in since if message.t_ns <= old.belief.t_ns])
@@ -232,7 +202,7 @@ class Supervision:
     def _compare(self, active: ErrorStateFilter, shadow: ShadowFilter) -> None:
         """Let the shadow filter take over if the sensors agree with it; drop it if it cannot take over any more."""
         t_ns = active.belief.t_ns
-        is_unreliable = self._reinitialisation.is_inconsistent or self._reinitialisation.recent(t_ns)
+        is_unreliable = self.reinitialisation.is_inconsistent or self.reinitialisation.recent(t_ns)
         if shadow.expired or not is_finite(shadow.filter.belief) or (shadow.agrees and not is_unreliable):
             self._set_shadow(None)
         elif shadow.agrees and shadow.is_better_than(active):
@@ -243,5 +213,6 @@ class Supervision:
             shadow.filter.account.clear()  # counted by the filter that it replaces
             shadow.filter.process_noise.reset_tests(shadow.filter.belief)
             self._set_filter(shadow.filter)
-            self._reinitialisation.restore(shadow.past_beliefs)
+            shadow.past.count = self.reinitialisation.count
+            self.reinitialisation = shadow.past
             self._restarted = t_ns, "the shadow filter has replaced the active filter"

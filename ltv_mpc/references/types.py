@@ -14,7 +14,7 @@ from ltv_mpc.messages import Estimate, Pair, ReferenceStart
 from ltv_mpc.references import mission_files
 from ltv_mpc.references.base import BaseReference
 from ltv_mpc.references.feasibility import descent_notes
-from ltv_mpc.references.geodesy import Latitude, Longitude, Metres, Place, local
+from ltv_mpc.references.geodesy import DEGREES, METRES, Latitude, Longitude, Metres, Place, local
 from ltv_mpc.references.schedule import Schedule
 from ltv_mpc.references.shapes import Circle, Lawnmower, Line, Spiral, Waypoints
 from ltv_mpc.references.timed import Timed, from_csv
@@ -121,13 +121,7 @@ class Point(Station, frozen=True, kw_only=True, tag="point"):
         anchor : start of the reference, which does not matter.
         """
         del anchor
-        place = Place(
-            north_m=self.north_m,
-            east_m=self.east_m,
-            latitude_deg=self.latitude_deg,
-            longitude_deg=self.longitude_deg,
-        )
-        return local(place, self.origin)
+        return local(Place(**{name: getattr(self, name) for name in (*METRES, *DEGREES)}), self.origin)
 
 
 class Hold(Station, frozen=True, kw_only=True, tag="hold"):
@@ -154,7 +148,16 @@ class Hold(Station, frozen=True, kw_only=True, tag="hold"):
         return anchor.north_m, anchor.east_m
 
 
-Reference: TypeAlias = Point | Hold | Line | Waypoints | Lawnmower | Circle | Spiral | Timed
+Reference: TypeAlias = (
+    Point
+    | Hold
+    | Line
+    | Waypoints
+    | Lawnmower
+    | Circle
+    | Spiral
+    | Timed
+)  # fmt: skip
 
 
 def load(name: str) -> Reference:

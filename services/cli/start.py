@@ -45,11 +45,7 @@ KEYS = {
     "speed": ("run.speed", "X", "Vehicle time per real time."),
     "seed": ("run.seed", "N", "Seed of all random draws."),
     "duration_s": ("run.duration_s", "T", "Duration after the surface phase."),
-    "horizon_s": (
-        "controller.horizon_s",
-        "H",
-        "Prediction horizon of the controller; default: proposed by `vehicle check`.",
-    ),
+    "horizon_s": ("controller.horizon_s", "H", "Horizon of the controller; default: proposed by `vehicle check`."),
     "compute_delay_s": ("run.compute_delay_s", "D", "Delay added to that of the controller."),
     "currents": ("water.file", "FILE.csv", "Measured current profile (depth_m, v_north_mps, u_east_mps)."),
     "water_prior": ("estimator.water_prior", "FILE.csv", "Current known to the estimator: a run's currents.csv."),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import msgspec
 
@@ -14,7 +14,6 @@ from ltv_mpc.messages import (
     ClockState,
     ControllerStatus,
     Estimate,
-    FenceReport,
     Heartbeat,
     LocalisationReport,
     Message,
@@ -42,6 +41,11 @@ WAITING = 200
 """Queue length of the messages of ``EVERY`` between two updates; at 20 times real time there are 14."""
 
 
+OF_PLAN = ("authority", "health", "health_why", "origin", "why", "fence")
+OF_CONTROLLER = ("source", "progress", "arrived")
+"""Fields of messages that the page shows as they are."""
+
+
 class Process(msgspec.Struct, frozen=True, kw_only=True):
     """Status of one process as the page shows it."""
 
@@ -63,19 +67,12 @@ class PageStatus(msgspec.Struct, frozen=True, kw_only=True):
     clock: str  # waiting, running, paused; "own" without a clock message, "silent" without any time
     speed: float  # of the clock, times real time
     requested_speed: float  # larger than ``speed`` if the machine cannot keep it
-    authority: str
-    health: str
-    health_why: str
-    source: str  # of the estimates that the controller uses
-    origin: str
-    why: str
-    fence: FenceReport | None  # of the newest plan
+    plan: dict[str, Any]  # ``OF_PLAN`` of the newest one; empty if there is none
+    controller: dict[str, Any]  # ``OF_CONTROLLER`` of its newest status; empty if there is none
     error_m: float | None  # estimate from the reference
     true_error_m: float | None  # vehicle from the reference, since the start; None without a known truth
     depth_m: float | None
     heading_rad: float | None
-    progress: float | None
-    arrived: bool
     ages_s: dict[str, float | None]
     processes: tuple[Process, ...]
     simulated: bool  # the true state is published
@@ -156,19 +153,12 @@ class BusFeed:
             clock="own" if clock is None and t_ns is not None else state,
             speed=1.0 if clock is None else clock.speed_num / clock.speed_den,
             requested_speed=1.0 if clock is None else clock.requested_speed,
-            authority="" if plan is None else plan.authority.value,
-            health="" if plan is None else plan.health.value,
-            health_why="" if plan is None else plan.health_why,
-            source="" if controller is None else controller.source,
-            origin="" if plan is None else plan.origin.value,
-            why="" if plan is None else plan.why,
-            fence=None if plan is None else plan.fence,
+            plan={} if plan is None else {name: getattr(plan, name) for name in OF_PLAN},
+            controller={} if controller is None else {name: getattr(controller, name) for name in OF_CONTROLLER},
             error_m=self.collector.error_m,
             true_error_m=self.collector.true_error_m,
             depth_m=None if estimate is None else estimate.depth_m,
             heading_rad=None if estimate is None else estimate.heading_rad,
-            progress=None if controller is None else controller.progress,
-            arrived=controller is not None and controller.arrived,
             ages_s=ages,
             processes=self._process_rows(paused=clock is not None and clock.state is ClockState.PAUSED),
             simulated=self._of(Truth) is not None,

@@ -51,7 +51,6 @@ from services.runtime.console import Console
 from services.runtime.controller_status import ControllerStatusReporter, StatusSink, status_line
 from services.runtime.process_time import ClockOptions
 from services.runtime.runner import Runner
-from services.runtime.serve import serve
 from services.runtime.service_manager import SERVICE_MANAGER
 from services.runtime.stage_timer import StageTimer
 from services.runtime.stopping import FAILED, Say
@@ -132,7 +131,7 @@ def main(config: Config) -> int:
             report=ControllerStatusReporter(node, shown, console.tell, checkpoint),
             settings=published,
         )
-        return serve(console, bus, runner, checkpoint)
+        return runner.main(console, bus, checkpoint)
 
 
 MAX_FAILED_QPS = 20

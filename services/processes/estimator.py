@@ -20,7 +20,6 @@ from services.run.water import load_prior
 from services.runtime.clock import monotonic_us
 from services.runtime.console import Console
 from services.runtime.runner import Runner
-from services.runtime.serve import serve
 from services.runtime.service_manager import SERVICE_MANAGER
 from services.runtime.supervisor_link import SUPERVISOR_LINK
 
@@ -47,7 +46,7 @@ def main(config: Config) -> int:
     if published is None:
         console.say(TOO_LARGE)
     node = Estimator(sensor_config, settings, prior, progress=_beat)
-    return serve(console, config.bus, Runner(node, settings=published))
+    return Runner(node, settings=published).main(console, config.bus)
 
 
 def _beat() -> None:

@@ -10,7 +10,6 @@ from services.runtime.clock_master import ClockMasterSettings
 from services.runtime.console import Console
 from services.runtime.process_time import ClockOptions
 from services.runtime.runner import Runner
-from services.runtime.serve import serve
 from services.runtime.stopping import DONE, FAILED
 from sim.plant import Plant
 
@@ -38,7 +37,7 @@ def main(config: Config) -> int:
     warm_up(run_config)
     runner = Runner(_make(run_config), clock=ClockOptions(master=clock_master))
     console = Console(Plant.name, as_json=config.log_json)
-    code = serve(console, config.bus, runner)
+    code = runner.main(console, config.bus)
     if code == DONE and not runner.finished:
         console.say("stopped before the end of the run")
         return FAILED

@@ -11,7 +11,6 @@ from services.run.run_config import RunConfig, resolve
 from services.runtime.console import Console
 from services.runtime.process_time import ClockOptions
 from services.runtime.runner import Runner
-from services.runtime.serve import serve
 from sim.plant import STEP_NS
 from sim.sensors.node import Sensors
 
@@ -29,7 +28,7 @@ def main(config: Config) -> int:
     run_config = resolve(config.scenario)
     warm_up(run_config)
     runner = Runner(_make(run_config), clock=ClockOptions(speed=run_config.scenario.run.speed))
-    return serve(Console(Sensors.name, as_json=config.log_json), config.bus, runner)
+    return runner.main(Console(Sensors.name, as_json=config.log_json), config.bus)
 
 
 def warm_up(run_config: RunConfig) -> None:

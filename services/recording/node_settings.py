@@ -7,13 +7,11 @@ from collections.abc import Iterable, Mapping
 from itertools import chain
 from typing import Any, TypeAlias
 
-import msgspec
-
 from ltv_mpc.config import loads, parse
 from ltv_mpc.messages import NodeSettings
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.topics import BY_TYPE
-from services.bus.wire import WireError, from_map
+from services.bus.wire import WireError
 from services.recording.reader import Recording
 
 PREFIX = f"{BY_TYPE[NodeSettings].key}/"
@@ -38,8 +36,9 @@ def published_settings(recordings: Iterable[Recording]) -> tuple[SettingsByStart
     for stored in chain.from_iterable(recording.stored() for recording in recordings):
         times[:] = min((stored.t_ns, *times)), max((stored.t_ns, *times))
         if stored.kind is NodeSettings:
-            with contextlib.suppress(WireError, msgspec.DecodeError):
-                message, header = from_map(NodeSettings, msgspec.json.decode(stored.data))
+            with contextlib.suppress(WireError):
+                message, header = stored.typed()
+                assert isinstance(message, NodeSettings)
                 settings.setdefault(stored.key.removeprefix(PREFIX), {})[header.epoch] = message
     return settings, (times[0], times[1]) if times else (0, 0)
 

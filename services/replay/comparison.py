@@ -7,6 +7,7 @@ suffices.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple, TypeAlias
 
@@ -45,9 +46,8 @@ class Comparison:
     def __init__(self, node: str, epoch: int) -> None:
         self.first_difference: Difference | None = None
         self.replayed = 0  # steps
-        self.outputs_compared = 0
-        self.outputs_lost = 0
-        self.outputs_unpublished = 0
+        self.outputs: Counter[str] = Counter()
+        """Numbers of outputs that are compared, lost and unpublished."""
         self._node, self._epoch = node, epoch
         self._different_steps: set[int] = set()
         self._incomplete_steps: set[int] = set()  # with a lost output
@@ -127,11 +127,11 @@ class Comparison:
         last_step = max((output.step for output in self._replayed.values()), default=-1)
         for (key, sequence), output in self._replayed.items():
             if sequence > self._newest.get(key, -1) and output.step == last_step:
-                self.outputs_unpublished += 1
+                self.outputs["unpublished"] += 1
             elif sequence > self._newest.get(key, -1) and complete and not self._has_hole():
                 self._add_difference(output, key, sequence, NOT_RECORDED)
             else:
-                self.outputs_lost += 1
+                self.outputs["lost"] += 1
                 self._incomplete_steps.add(output.step)
         for key, sequence in self._recorded:
             if complete and sequence == self._next.get(key, 0):
@@ -149,7 +149,7 @@ class Comparison:
         if msgspec.json.encode(plain) == stored.data and wire.crc(wire.pack(plain)) == stored.crc:
             del self._replayed[name]
             self._different.pop(name, None)
-            self.outputs_compared += 1
+            self.outputs["compared"] += 1
         else:
             self._different.setdefault(name, (stored, header))
             if len(self._different) > MAX_PENDING:
@@ -158,7 +158,7 @@ class Comparison:
     def _count_difference(self, name: _Name) -> None:
         stored, header = self._different.pop(name)
         output = self._replayed.pop(name)
-        self.outputs_compared += 1
+        self.outputs["compared"] += 1
         replayed = msgspec.json.encode(wire.to_map(output.message, header))
         fields = differences(msgspec.json.decode(stored.data), msgspec.json.decode(replayed))
         self._add_difference(output, *name, "", tuple(fields))

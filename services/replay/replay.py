@@ -7,6 +7,7 @@ Memory does not grow with the length of a run: the file is read once, and a boun
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from pathlib import Path
@@ -95,6 +96,7 @@ def replay(run: Run, *, only: str | None = None, progress: Progress = lambda _: 
 
 def _node_verdict(part: NodeReplay) -> NodeVerdict:
     counts = [epoch.outcome for epoch in part.epochs.values() if isinstance(epoch.outcome, Comparison)]
+    outputs = sum((count.outputs for count in counts), Counter[str]())
     gaps = [epoch.gap for epoch in part.epochs.values() if epoch.gap is not None]
     return NodeVerdict(
         node=part.name,
@@ -102,9 +104,9 @@ def _node_verdict(part: NodeReplay) -> NodeVerdict:
         steps_run=sum(epoch.steps_run for epoch in part.epochs.values()),
         steps_compared=sum(count.compared for count in counts),
         steps_identical=sum(count.identical for count in counts),
-        outputs_compared=sum(count.outputs_compared for count in counts),
-        outputs_lost=sum(count.outputs_lost for count in counts),
-        outputs_unpublished=sum(count.outputs_unpublished for count in counts),
+        outputs_compared=outputs["compared"],
+        outputs_lost=outputs["lost"],
+        outputs_unpublished=outputs["unpublished"],
         gaps=tuple(gaps[:MAX_GAPS]),
         more_gaps=max(0, len(gaps) - MAX_GAPS),
         first_difference=_first(count.first_difference for count in counts),

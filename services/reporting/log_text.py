@@ -34,12 +34,9 @@ def text(info: Info) -> str:
     lines += [_segment(segment, since_s) for segment in info.segments]
     lines.append(f"{counted(info.messages, 'message')}, {info.missing or 'none'} missing{_unreadable(info)}")
     lines += ["", *columns([_HEAD, *(_row(key, since_s) for key in info.keys)], numbers=True)]
-    if sources := [line for key in info.keys for line in _sources(key, since_s)]:
-        lines += ["", "keys with several sources", *sources]
-    if silences := [line for key in info.keys for line in _silences(key, since_s)]:
-        lines += ["", "longest silences", *silences]
-    if gaps := [line for key in info.keys for line in _gaps(key)]:
-        lines += ["", "gaps", *gaps]
+    for title, of_key in (("keys with several sources", _sources), ("longest silences", _silences), ("gaps", _gaps)):
+        if found := [line for key in info.keys for line in of_key(key, since_s)]:
+            lines += ["", title, *found]
     if info.events:
         shown = info.events[:MAX_EVENTS]
         lines += ["", f"events ({info.events_total})"]
@@ -114,12 +111,12 @@ def _unreadable(info: Info) -> str:
     return f", {info.unreadable} without a header" if info.unreadable else ""
 
 
-def _gaps(key: Key) -> Iterable[str]:
+def _gaps(key: Key, _since_s: float) -> Iterable[str]:
     for source in key.sources:
-        words = [f"{source.missing} of {source.published}"] if source.missing else []
+        words = []
         if source.missing:
             listed = ", ".join(f"{a}" if a == b else f"{a} to {b}" for a, b in source.gaps)
-            words.append(f"sequence {listed}")
+            words += [f"{source.missing} of {source.published}", f"sequence {listed}"]
         if source.doubled:
             words.append(f"{source.doubled} duplicated")
         if words:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from msgspec.structs import asdict
 from numpy.typing import NDArray
 
 from ltv_mpc.control.failed_qp import NamedQp, worst_violation
@@ -23,13 +24,7 @@ def figures(failed: NamedQp, solver: str, solution: Solution) -> dict[str, Any]:
         "P": _range(qp.P.data),
         "A": _range(qp.A.data),
         "q": _range(qp.q),
-        "failed": {
-            "status": failed.solve.status.value,
-            "iterations": failed.solve.iterations,
-            "primal_residual": failed.solve.primal_residual,
-            "dual_residual": failed.solve.dual_residual,
-            "why": failed.solve.why,
-        },
+        "failed": asdict(failed.solve),
         "faults": failed.faults(),
         "solved_again": {
             "solver": solver,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -19,7 +20,7 @@ from rich.text import Text
 from ltv_mpc.errors import one_line
 from ltv_mpc.messages import ControllerStatus, LocalisationReport, SensorStatus
 from services.reporting.plots.collector import Collector
-from services.runtime.console import WIDTH, fold
+from services.runtime.console import WIDTH, drawn, fold
 from services.supervisor.screen import LiveView, in_order
 
 Limits = Sequence[tuple[float, float]]
@@ -37,13 +38,18 @@ def is_plain(console: Console) -> bool:
     return "NO_COLOR" in os.environ or "CI" in os.environ or not console.is_terminal
 
 
+def stderr_console() -> Console:
+    """Return a console that draws on the stream behind standard error, which escapes control characters."""
+    return Console(file=drawn(sys.stderr))
+
+
 class RunScreen:
     """Screen of a run: redrawn in place on a terminal, otherwise a line every ``LINE_S``."""
 
     def __init__(self, title: str, limits: Limits, console: Console | None = None) -> None:
         self._title = title
         self._limits = limits
-        self._console = console or Console(stderr=True)
+        self._console = console or stderr_console()
         self._collector = Collector()
         self._live: Live | None = None
         if not is_plain(self._console):
@@ -114,7 +120,7 @@ def progress_bar(what: str, console: Console | None = None) -> Iterator[Callable
 
     Call the result with the share done, 0 .. 1, and a new text if there is one.
     """
-    console = console or Console(stderr=True)
+    console = console or stderr_console()
     with Progress(*_columns(), console=console, transient=True, disable=is_plain(console)) as bars:
         task = bars.add_task(escape(one_line(what)), total=1.0)
         yield lambda share, text=what: bars.update(task, completed=share, description=escape(one_line(text)))

@@ -57,17 +57,9 @@ def _row(topic: Topic) -> dict[str, Any]:
 
 def _table(rows: list[dict[str, Any]]) -> str:
     header = ("key", "message", "period", "delivery", "written by", "read by")
-    cells = [
-        (
-            row["key"],
-            row["message"],
-            _period(row["period_ns"]),
-            row["delivery"],
-            row["written_by"],
-            ", ".join(row["read_by"]) or "-",
-        )
-        for row in rows
-    ]
+    shown = [row | {"period": _period(row["period_ns"]), "readers": ", ".join(row["read_by"]) or "-"} for row in rows]
+    names = ("key", "message", "period", "delivery", "written_by", "readers")
+    cells = [tuple(row[name] for name in names) for row in shown]
     return "\n".join(columns([header, *cells])) + "\n"
 
 

@@ -74,6 +74,11 @@ def resolve(name: str, overrides: Sequence[Override] = ()) -> RunConfig:
     fence = fence_for(vehicle, reference, scenario.fence)
     prior = load_prior(scenario.estimator)
     called = _called(name, scenario)
+    files = _files(msgspec.structs.replace(scenario, controller=controller), called)
+    notes = [*_notes(scenario, controller, prior), *reference.notes(vehicle)]
+    if vehicle != measured:
+        files["config/vehicle.toml"] = config.to_toml(vehicle)
+        notes.append("[reference_point] of the vehicle is not used: the simulated estimates are those of its origin")
     return RunConfig(
         name=called,
         scenario=scenario,
@@ -85,8 +90,8 @@ def resolve(name: str, overrides: Sequence[Override] = ()) -> RunConfig:
         bathymetry=bathymetry_for(reference, controller.limits, scenario.bathymetry),
         water=water.make(scenario.water, scenario.run.seed),
         prior=prior,
-        files=_files(msgspec.structs.replace(scenario, controller=controller), called) | _files_at_origin(measured),
-        notes=(*_notes(scenario, controller, prior), *reference.notes(vehicle), *_notes_on_reference_point(measured)),
+        files=files,
+        notes=tuple(notes),
     )
 
 
@@ -133,19 +138,7 @@ def scenario_text(scenario: Scenario, called: str) -> str:
     return config.to_toml(again)
 
 
-def _files_at_origin(vehicle: Vehicle) -> dict[str, str]:
-    """Return the vehicle file of a run if it must differ from that of the real vehicle, which has a reference point."""
-    at_origin = vehicle.at_origin()
-    return {} if at_origin == vehicle else {"config/vehicle.toml": config.to_toml(at_origin)}
-
-
-def _notes_on_reference_point(vehicle: Vehicle) -> tuple[str, ...]:
-    if vehicle.at_origin() == vehicle:
-        return ()
-    return ("[reference_point] of the vehicle is not used: the simulated estimates are those of its origin",)
-
-
-def _notes(scenario: Scenario, settings: ResolvedConfig, prior: WaterPrior | None) -> tuple[str, ...]:
+def _notes(scenario: Scenario, settings: ResolvedConfig, prior: WaterPrior | None) -> list[str]:
     before, end = settings.knots[-2:]
     growing = f", the last of {(end - before) * STAGE_NS / 1e9:.1f} s" if end - before > 1.0 else ""
     notes = [f"horizon {settings.reach_s:.3g} s in {settings.stages} stages{growing}"]
@@ -160,4 +153,4 @@ def _notes(scenario: Scenario, settings: ResolvedConfig, prior: WaterPrior | Non
         known = f"sd {1e3 * prior.sd_mps.min():.1f} to {1e3 * prior.sd_mps.max():.1f} mm/s"
         use = ", not used: run.perfect_state is set" if scenario.run.perfect_state else ""
         notes.append(f"water prior {name}: {first:g} to {last:g} m, {known}{use}")
-    return tuple(notes)
+    return notes

@@ -60,13 +60,13 @@ class ClockSync:
     def __init__(self, clock: VehicleClock, *, epoch: int, input_delay_ns: int = 0) -> None:
         """``epoch``: the epoch under which this process publishes its plans."""
         self._clock = clock
-        self._epoch = epoch
-        self._input_delay_ns = input_delay_ns
+        self._epoch, self._input_delay_ns = epoch, input_delay_ns
         self._publishers: OrderedDict[int, ClockOffsetEstimator] = (
             OrderedDict()
         )  # by epoch, the one received last at the end
         self._reference: int | None = None  # publisher whose clock the vehicle time and the plans follow
         self._actuators_report = False
+        self._source: int | None = None  # publisher of the estimates in use
         self._sent_us: OrderedDict[int, int] = OrderedDict()  # by sequence
         self._first_us: int | None = None
         self._steps: list[ClockStep] = []
@@ -81,14 +81,13 @@ class ClockSync:
             return SHARED_CLOCK
         return self._publishers[self._reference].read(now_us) or SHARED_CLOCK
 
-    def shift_ns(self, epoch: int, m_us: int, source: int | None = None) -> int:
+    def shift_ns(self, epoch: int, m_us: int) -> int:
         """Return vehicle time minus the time of the publisher ``epoch``; 0 while either is unknown.
 
-        A publisher of neither estimates nor reports, as one of obstacles, has the clock of ``source``, whose estimates
-        are in use.
+        A publisher of neither estimates nor reports, as one of obstacles, has the clock of the estimates in use.
         """
-        if epoch not in self._publishers and source is not None:
-            epoch = source
+        if epoch not in self._publishers and self._source is not None:
+            epoch = self._source
         if self._reference is None or epoch not in self._publishers:
             return 0
         return self._theta_ns(self._reference, m_us) - self._theta_ns(epoch, m_us) - self.published_shift_ns
@@ -101,6 +100,7 @@ class ClockSync:
 
     def follow_source(self, epoch: int, m_us: int) -> None:
         """Follow the publisher ``epoch``, whose estimates are in use from now on, while the actuators do not report."""
+        self._source = epoch
         if not self._actuators_report and epoch in self._publishers:
             self._follow(Estimate, epoch, m_us)
 

@@ -37,8 +37,6 @@ StatusSink = Callable[[ControllerStatus], None]
 class ControllerStatusReporter:
     """Reporter of the controller's status on the bus, and to each sink: the status line, the metrics, the changes."""
 
-    writes: tuple[type[Message], ...] = (ControllerStatus,)
-
     def __init__(
         self,
         node: ControllerNode,

@@ -47,8 +47,8 @@ class StepTrigger(NamedTuple):
 
     cause: str
     """Key of the input."""
-    t_ns: int | None
-    """Time of a step that the input's arrival causes; None for a command: a step in between, as soon as possible."""
+    t_ns: int
+    """Time of the step."""
 
 
 class InputReceiver:
@@ -65,6 +65,8 @@ class InputReceiver:
     ) -> None:
         self._node, self._io, self._time, self._status = node, io, time, status
         self._report, self._validator = report, validator
+        self.command = ""
+        """Key of a command that the next step must not wait for."""
         schedule = node.schedule
         self._triggers = frozenset(schedule.types if isinstance(schedule, OnMessage) else ())
 
@@ -90,7 +92,7 @@ class InputReceiver:
             self._validator.reject(reason)
             self._reject(frame, reason)
             return None
-        shift_ns = time.shift_ns(header.epoch, received_us)
+        shift_ns = time.sync.shift_ns(header.epoch, received_us)
         message = shifted(message, shift_ns)
         kind = type(message)
         self._status.waiting.on_input(kind)
@@ -113,7 +115,7 @@ class InputReceiver:
             stamped: Any = message  # a type that causes steps has its validity time
             return StepTrigger(frame.key, stamped.t_ns)
         if kind is Command and (stops or time.schedule.next_ns is not None):
-            return StepTrigger(frame.key, None)
+            self.command = frame.key
         return None
 
     def _report_clock_steps(self, now_us: int) -> None:

@@ -80,32 +80,36 @@ def serving(metrics: Metrics, port: int) -> Iterator[None]:
             thread.join()
 
 
+COUNTERS = {
+    "received": "Messages accepted.",
+    "dropped": "Messages lost on the way.",
+    "rejected_estimates": "Estimates of second sources, rejected.",
+    "clock_steps": "Steps of the publishers' clocks.",
+    "checkpoints_failed": "Checkpoints not written.",
+}
+"""Fields of a status that count something."""
+
+
 def _metrics(s: ControllerStatus) -> Iterator[Metric]:
+    for name, help_ in COUNTERS.items():
+        yield CounterMetricFamily(f"ltv_mpc_{name}", help_, getattr(s, name))
+    rejected = CounterMetricFamily("ltv_mpc_rejected", "Messages rejected, by reason.", labels=("reason",))
+    for reason, count in s.rejected.items():
+        rejected.add_metric((reason,), count)
+    yield rejected
     ages = {"estimate": _seconds(s.estimate_age_ns), "applied": _seconds(s.applied_age_ns)}
     yield _gauge("input_age_seconds", "Age of the newest input of each key.", "key", ages)
     cycle = {"0.5": s.cycle_median_us, "0.99": s.cycle_p99_us}
     quantiles = {share: None if us is None else us / 1e6 for share, us in cycle.items()}
     yield _gauge("cycle_seconds", "Wall time of a cycle over the last 10 s.", "quantile", quantiles)
-    yield CounterMetricFamily("ltv_mpc_received", "Messages accepted.", s.received)
-    yield CounterMetricFamily("ltv_mpc_dropped", "Messages lost on the way.", s.dropped)
-    rejected = CounterMetricFamily("ltv_mpc_rejected", "Messages rejected, by reason.", labels=("reason",))
-    for reason, count in s.rejected.items():
-        rejected.add_metric((reason,), count)
-    yield rejected
-    yield CounterMetricFamily(
-        "ltv_mpc_rejected_estimates", "Estimates of second sources, rejected.", s.rejected_estimates
-    )
-    sources = GaugeMetricFamily(
-        "ltv_mpc_source", "1 for the source of the estimates in use, 0 for a rejected one.", labels=("name", "epoch")
-    )
-    for epoch, used in ((s.source_epoch, 1.0), (s.rejected_epoch, 0.0)):
+    used = "1 for the source of the estimates in use, 0 for a rejected one."
+    sources = GaugeMetricFamily("ltv_mpc_source", used, labels=("name", "epoch"))
+    for epoch, share in ((s.source_epoch, 1.0), (s.rejected_epoch, 0.0)):
         if epoch:
-            sources.add_metric((s.source, str(epoch)), used)
+            sources.add_metric((s.source, str(epoch)), share)
     yield sources
     clock_error_s = _seconds(s.clock_error_ns)
     yield GaugeMetricFamily("ltv_mpc_clock_error_seconds", "Bound of the clock error.", clock_error_s)
-    yield CounterMetricFamily("ltv_mpc_clock_steps", "Steps of the publishers' clocks.", s.clock_steps)
-    yield CounterMetricFamily("ltv_mpc_checkpoints_failed", "Checkpoints not written.", s.checkpoints_failed)
     yield GaugeMetricFamily("ltv_mpc_tracking_error_metres", "Distance from the estimate to the reference.", s.error_m)
     yield GaugeMetricFamily("ltv_mpc_progress_ratio", "Completed share of the reference.", s.progress)
     yield _one_of("authority", "Source of the thruster commands.", s.authority, Authority)

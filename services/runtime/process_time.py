@@ -84,6 +84,7 @@ class ProcessTime:
         self, node: Node, options: ClockOptions, *, epoch: int, publish: Callable[[Clock | RunEvent], object]
     ) -> None:
         """``epoch``: of the messages of this process. ``publish``: for a clock master, from its connection on."""
+        self.epoch = epoch
         self.clock = VehicleClock(speed=options.speed)
         self.master: ClockMaster | None = None
         if options.master is not None:
@@ -93,7 +94,6 @@ class ProcessTime:
         self.sync = ClockSync(self.clock, epoch=epoch, input_delay_ns=options.input_delay_ns)
         self.syncs = options.sync_to_inputs
         """True if the time is taken from the inputs' stamps while no clock is announced."""
-        self._source: int | None = None  # publisher of the estimates in use
         self.schedule = StepSchedule(node.schedule, end_ns=options.master.end_ns if options.master else None)
 
     def now_ns(self, now_us: int) -> int:
@@ -132,15 +132,11 @@ class ProcessTime:
         if self.clock.follow(message):
             self.start_schedule()
 
-    def shift_ns(self, epoch: int, m_us: int) -> int:
-        """Return vehicle time minus the time of the publisher ``epoch``."""
-        return self.sync.shift_ns(epoch, m_us, self._source)
-
     def rejection_reason(self, message: Message, epoch: int, received_us: int) -> str:
         """Return why a message of publisher ``epoch`` does not fit the time that is followed; empty if it fits."""
         if isinstance(message, Obstacles):
             now_ns = self.clock.read(received_us)  # None: not known yet; then the first cycle drops what is ahead
-            return "" if now_ns is None else ahead_reason(message, now_ns - self.shift_ns(epoch, received_us))
+            return "" if now_ns is None else ahead_reason(message, now_ns - self.sync.shift_ns(epoch, received_us))
         sync = self.sync
         if isinstance(message, Clock):
             return SYNCHRONISED if sync.active else ""
@@ -151,11 +147,6 @@ class ProcessTime:
         if sync.active and not was_active:
             self.start_schedule()
         return reason
-
-    def follow_source(self, epoch: int) -> None:
-        """Let the clock follow the source of the estimates in use, while the actuators do not report."""
-        self._source = epoch
-        self.sync.follow_source(epoch, monotonic_us())
 
 
 def step_text(step: ClockStep) -> str:

@@ -26,6 +26,7 @@ from ltv_mpc.messages import (
     ClockCommand,
     ClockMode,
     ClockStep,
+    ControllerStatus,
     CycleTiming,
     Message,
     NodeSettings,
@@ -45,12 +46,13 @@ from services.bus.rate_limit import RateLimit
 from services.bus.session import Session, open_session
 from services.bus.topics import BY_TYPE, NAMED, expression
 from services.runtime.clock import monotonic_us
-from services.runtime.clock_sync import ClockSync
+from services.runtime.console import Console
 from services.runtime.deadlines import DeadlineQueue
 from services.runtime.input_receiver import InputReceiver
 from services.runtime.node_io import NodeIO, SavedState
 from services.runtime.node_status import CLOCK_MESSAGE, CLOCK_OR_ESTIMATE, NodeStatusReporter, WaitingFor
 from services.runtime.process_time import ClockOptions, ProcessTime
+from services.runtime.serve import run_until_stopped
 from services.runtime.service_manager import SERVICE_MANAGER
 from services.runtime.stage_timer import StageTimer
 from services.runtime.stopping import Say, StopRequest
@@ -66,7 +68,6 @@ CLOCK_MASTER_INPUTS: tuple[type[Message], ...] = (NodeStatus, ClockCommand)
 """Types that the clock master's process reads for its clock."""
 
 
-SETTINGS_PERIOD_US = BY_TYPE[NodeSettings].period_ns // 1000
 MAX_DRAIN_US = 20_000
 """Longest time that taking inputs may delay a due step, so that a message flood cannot starve the controller."""
 
@@ -115,12 +116,8 @@ class Runner:
         self._node = node
         self._compute_delay_ns = compute_delay_ns
         self._stopwatch = stages or StageTimer()
-        self._report = report
-        self._settings = settings
-        self._settings_due_us = 0
-        self._epoch = new_epoch()
-        self._time = ProcessTime(node, clock, epoch=self._epoch, publish=lambda message: self._io.publish(message))
-        self._command = ""  # key of a command that the next step must not wait for
+        self._report, self._settings = report, settings
+        self._time = ProcessTime(node, clock, epoch=new_epoch(), publish=lambda message: self._io.publish(message))
         self._navigated = node if isinstance(node, NavigatedNode) else None
         self._source: Source | None = None  # of the estimates in use
         self._deadlines = DeadlineQueue()
@@ -139,10 +136,12 @@ class Runner:
         """True once the last step of a schedule that ends is done."""
         return self._time.schedule.finished
 
-    @property
-    def clock_sync(self) -> ClockSync:
-        """Synchronisation with the other side's clock, for a process that may take the time from its inputs."""
-        return self._time.sync
+    def main(self, console: Console, bus: BusOptions, saved: SavedState | None = None) -> int:
+        """Serve until the node is done or a signal stops it. Return the exit code, as ``run_until_stopped``.
+
+        ``saved`` is where its states are kept; None: the supervisor keeps them, if there is one.
+        """
+        return run_until_stopped(console, lambda _, say: self.serve(bus, saved, say), request=self.stop)
 
     def serve(self, bus: BusOptions, saved: SavedState | None = None, say: Say = print) -> None:
         """Connect, report ready, run the steps, report finished, disconnect.
@@ -175,11 +174,11 @@ class Runner:
             ClockStep: ClockStep in node.reads,
             Clock: keeps_time,
             NodeSettings: self._settings is not None,
+            ControllerStatus: self._report is not None,
         }
         kinds: list[type[Message]] = [*node.writes, StepRecord, NodeStatus, RejectedFrame, RunEvent]
         kinds += [kind for kind, is_written in optional.items() if is_written]
-        kinds += self._report.writes if self._report is not None else ()
-        outbox = Outbox(session, node=node.name, epoch=self._epoch, kinds=kinds)
+        outbox = Outbox(session, node=node.name, epoch=time.epoch, kinds=kinds)
         validator = MessageValidator(RateLimit(lambda: time.speed))
         waiting = WaitingFor(
             time.clock,
@@ -194,7 +193,7 @@ class Runner:
             topic = BY_TYPE[kind]  # one mailbox for all, so that arrivals have one order
             session.subscribe(expression(topic), None if kind in NAMED else topic, self.mailbox)
         time.start_schedule()
-        self._io = NodeIO(node.name, outbox, saved)
+        self._io = NodeIO(node.name, outbox, saved, self._settings)
         self._receiver = InputReceiver(node, self._io, time, self._status, self._report, validator)
         self._add_deadlines(validator)
 
@@ -212,18 +211,13 @@ class Runner:
 
     def _add_deadlines(self, validator: MessageValidator) -> None:
         """Add the periodic duties of the process to the deadline queue."""
-        master, report, settings = self._time.master, self._report, self._settings
+        master, report = self._time.master, self._report
         self._deadlines.add(lambda: SUPERVISOR_LINK.due_us, SUPERVISOR_LINK.beat)
         self._deadlines.add(lambda: SERVICE_MANAGER.due_us, SERVICE_MANAGER.beat)
         if master is not None:
             self._deadlines.add(lambda: master.due_us, master.run_due)
-        if settings is not None:  # before the first status and the first step
-
-            def publish_settings(now_us: int) -> None:
-                self._settings_due_us = now_us + SETTINGS_PERIOD_US
-                self._io.publish(settings)
-
-            self._deadlines.add(lambda: self._settings_due_us, publish_settings)
+        # Settings come before the first status and the first step.
+        self._deadlines.add(lambda: self._io.settings_due_us, self._io.publish_settings)
         self._deadlines.add(lambda: self._status.due_us, self._publish_status)
         if report is not None:
 
@@ -249,17 +243,14 @@ class Runner:
 
     @property
     def _step_due_us(self) -> int | None:
-        return monotonic_us() if self._command else self._time.next_step_us
+        return monotonic_us() if self._receiver.command else self._time.next_step_us
 
     def _take(self, timeout_s: float) -> bool:
         """Take the next input, if one arrives in time, and the step that it causes. Return False if none arrived."""
         frame = self.mailbox.take(timeout_s)
         trigger = None if frame is None else self._receiver.take(frame)
         if trigger is not None:
-            if trigger.t_ns is None:
-                self._command = trigger.cause
-            else:
-                self._step(trigger.t_ns, trigger.cause, monotonic_us())
+            self._step(trigger.t_ns, trigger.cause, monotonic_us())
         return frame is not None
 
     def _drain(self) -> None:
@@ -276,8 +267,8 @@ class Runner:
     def _scheduled_step(self) -> None:
         """Take the step that is due by the schedule, or the one that a command requests between two of them."""
         now_us, time = monotonic_us(), self._time
-        if self._command:
-            cause, self._command = self._command, ""
+        if self._receiver.command:
+            cause, self._receiver.command = self._receiver.command, ""
             self._step(time.now_ns(now_us), cause, now_us)
             return
         schedule = time.schedule
@@ -294,8 +285,8 @@ class Runner:
         """Take a step that was due at the monotonic time ``due_us``; publish its outputs after its record."""
         status, report = self._status, self._report
         self._stopwatch.start()
-        if status.steps == 0:
-            self._settings_due_us = 0  # a recorder that receives the first step can replay the node
+        if status.steps == 0 and self._settings is not None:
+            self._io.settings_due_us = 0  # a recorder that receives the first step can replay the node
         if self._navigated is not None:
             self._follow_source(self._navigated.active_source, t_ns)
         self._io.shift_ns = self._time.sync.published_shift_ns
@@ -327,7 +318,7 @@ class Runner:
         if source is None or source == self._source:
             return
         before, self._source = self._source, source
-        self._time.follow_source(source.epoch)
+        self._time.sync.follow_source(source.epoch, monotonic_us())
         if before is not None:
             text = f"source of the estimates: {before} -> {source}"
             self._io.publish(RunEvent(t_ns=t_ns, node=self._node.name, kind="source", text=text))

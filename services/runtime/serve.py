@@ -3,17 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
-from services.bus.options import BusOptions
 from services.bus.session import BusError, Stopped
 from services.runtime.clock import ClockError
 from services.runtime.console import Console
-from services.runtime.node_io import SavedState
 from services.runtime.stopping import FAILED, Say, StopRequest, stop_on_signals
-
-if TYPE_CHECKING:
-    from services.runtime.runner import Runner
 
 
 def run_until_stopped(
@@ -37,15 +31,3 @@ def run_until_stopped(
             console.say(str(error))
             return FAILED
         return stop.exit_code
-
-
-def serve(console: Console, bus: BusOptions, runner: Runner, saved: SavedState | None = None) -> int:
-    """Run a node until it is done or a signal stops it. Return the exit code, as ``run_until_stopped``.
-
-    ``saved`` is where its states are kept; None: the supervisor keeps them, if there is one.
-    """
-
-    def work(_: StopRequest, say: Say) -> None:
-        runner.serve(bus, saved, say)
-
-    return run_until_stopped(console, work, request=runner.stop)

@@ -64,7 +64,7 @@ class ChildProcesses:
             if child is not None:
                 child.terminate()
                 if not child.wait_or_kill(timeout_s):
-                    killed.append(child.name)
+                    killed.append(child.row.name)
                 child.close()
 
         for child in nodes:

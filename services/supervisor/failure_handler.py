@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Collection
 from typing import NamedTuple
 
 import msgspec
@@ -82,9 +81,11 @@ class FailureHandler:
         """Set once every process has been ready."""
         self._children = children
         self._restarts_s: deque[float] = deque(maxlen=MAX_RESTARTS)  # monotonic times
-        self._failures: dict[str, Failure] = {}  # not recovered yet
+        self.recovering: dict[str, Failure] = {}
+        """Failures of the restarted processes that do not work again yet."""
         self._screen = screen
-        self._pending: list[RunEvent] = []  # not published yet
+        self.pending: list[RunEvent] = []
+        """Events that are not published yet."""
         self._publish_from_s = 0.0
         self._monitor: BusMonitor
         self._outbox: Outbox
@@ -93,28 +94,14 @@ class FailureHandler:
         """Use the run's bus, for the states of failed processes and to report events."""
         self._monitor, self._outbox = monitor, outbox
 
-    @property
-    def settled(self) -> bool:
-        """True if every restarted process works again and all events are published."""
-        return not self._failures and not self._pending
-
     def end(self, why: str) -> None:
         """Publish at once why the run ends early; the screen shows it as the outcome of the run."""
-        self._pending.append(RunEvent(t_ns=self._monitor.t_ns() or 0, node=SUPERVISOR, kind=ENDED, text=why))
+        self.pending.append(RunEvent(t_ns=self._monitor.t_ns() or 0, node=SUPERVISOR, kind=ENDED, text=why))
         self._publish()
 
     def show(self, event: RunEvent) -> None:
         """Print an event on the screen."""
         self._screen.say(f"{event.t_ns / 1e9:.1f} s  {event.node}: {event.text}")
-
-    @property
-    def recovering(self) -> Collection[str]:
-        """Names of the restarted processes that do not work again yet."""
-        return self._failures.keys()
-
-    def failure_of(self, name: str) -> Failure | None:
-        """Return the failure that a process has not recovered from yet."""
-        return self._failures.get(name)
 
     def check(self, now_s: float) -> None:
         """Find failed processes and restart them.
@@ -127,10 +114,10 @@ class FailureHandler:
 
     def check_recoveries(self, now_s: float) -> None:
         """End the recoveries of processes that work again; restart those that do not come back in time."""
-        for name, failure in tuple(self._failures.items()):
+        for name, failure in tuple(self.recovering.items()):
             activity = self._monitor.last_activity(name)
             if activity is not None and failure.is_over(activity):
-                del self._failures[name]
+                del self.recovering[name]
                 if name in RECORDING_PROCESSES:
                     self._publish_from_s = now_s + RECONNECT_S
                 took_s = activity.arrived_s - failure.alive_s
@@ -138,7 +125,7 @@ class FailureHandler:
             elif now_s - failure.restarted_s > RECOVERY_TIMEOUT_S:
                 self._children.by_name[name].kill()
                 self._restart(name, f"did not recover within {RECOVERY_TIMEOUT_S:.0f} s", failure.alive_s, now_s)
-        if now_s >= self._publish_from_s and not self._failures.keys() & RECORDING_PROCESSES:
+        if now_s >= self._publish_from_s and not self.recovering.keys() & RECORDING_PROCESSES:
             self._publish()
 
     def may_restart(self, now_s: float) -> bool:
@@ -171,8 +158,8 @@ class FailureHandler:
         before = self._monitor.last_activity(name)
         child.start(restore_state(name, self._monitor))
         self.restarts += 1
-        earlier = self._failures.get(name)
-        self._failures[name] = Failure(
+        earlier = self.recovering.get(name)
+        self.recovering[name] = Failure(
             name,
             how,
             alive_s if earlier is None else earlier.alive_s,
@@ -185,12 +172,12 @@ class FailureHandler:
         """Show an event, and queue it for publication."""
         event = RunEvent(t_ns=self._monitor.t_ns() or 0, node=SUPERVISOR, kind=kind, text=text)
         self.show(event)
-        self._pending.append(event)
+        self.pending.append(event)
 
     def _publish(self) -> None:
-        for event in self._pending:
+        for event in self.pending:
             self._outbox.publish(event)
-        self._pending.clear()
+        self.pending.clear()
 
 
 def restore_state(node: str, monitor: BusMonitor) -> bytes:

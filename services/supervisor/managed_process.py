@@ -34,7 +34,6 @@ class ManagedProcess:
 
     def __init__(self, forks: ForkServer, row: ProcessRow, config: Path) -> None:
         self.row = row
-        self.name = row.name
         self.hang_detector: HangDetector
         self.pid = 0
         self.heartbeat_fd = self._stdin = self._pidfd = -1

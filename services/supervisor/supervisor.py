@@ -208,7 +208,7 @@ class Supervisor:
     def _final_check(self, killed: Sequence[str]) -> Outcome:
         """Check that every process ended by itself and without an error, now that the run is complete."""
         for name, child in self.children.by_name.items():
-            code, failure = child.exit_code(), self.failures.failure_of(name)
+            code, failure = child.exit_code(), self.failures.recovering.get(name)
             if failure is not None:
                 how = f"{failure.how}, and had not recovered by the end"
             elif code is None or name in killed:

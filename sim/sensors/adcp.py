@@ -31,7 +31,7 @@ from ltv_mpc.jit import jit
 from ltv_mpc.localisation.sensors.adcp import Adcp
 from ltv_mpc.messages import AdcpPing, Array, Triple
 from sim.random_streams import Stream, generator
-from sim.sensors.outlier_masks import Mask, OutlierMasks
+from sim.sensors.simulated import outliers
 from sim.sensors.vehicle_state import VehicleState
 from sim.water.column import WaterColumn, WaterSample, velocity_at
 
@@ -80,8 +80,6 @@ class Profiler:
         self.beam_bias_mps, self.near_bias_mps = instrument.beam_bias_mps, instrument.near_bias_mps
         fading = np.exp(-self.ranges_m / settings.near_bias_length_m)
         self.bias_mps = self.beam_bias_mps[:, None] + self.near_bias_mps[:, None] * fading
-        self.outliers: Mask = np.zeros((4, cells), dtype=bool)  # of the last ping
-        self.outlier_masks = OutlierMasks()
         self._beams, self._lever = instrument.beams, np.array(settings.lever_arm_m)
 
     def sample(self, now: VehicleState) -> list[AdcpPing]:
@@ -96,10 +94,7 @@ class Profiler:
         silent = self._draws.random(4) < settings.missing_share
         uniform = self._draws.random(shape)
         velocity += self.bias_mps + settings.beam_noise_sd_mps * noise
-        up, down = uniform < 0.5 * settings.outlier_share, uniform > 1.0 - 0.5 * settings.outlier_share
-        self.outliers = up | down
-        self.outlier_masks.put(now.t_ns, self.outliers)
-        velocity += settings.outlier_mps * (up.astype(np.float64) - down.astype(np.float64))
+        velocity += settings.outlier_mps * outliers(uniform, settings.outlier_share)
         velocity[silent] = np.nan
         velocity[:, self.ranges_m > self._bottom_m - now.point_m(settings.lever_arm_m)[2]] = np.nan
         return [AdcpPing(t_ns=now.t_ns, range_m=self.ranges_m, beam_velocity_mps=velocity)]

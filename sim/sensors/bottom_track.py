@@ -20,14 +20,14 @@ from ltv_mpc.localisation.sensors.bottom_track import BottomTracking
 from ltv_mpc.messages import Array, BottomTrack
 from sim.random_streams import Stream, generator
 from sim.sensors.adcp import Instrument
-from sim.sensors.outlier_masks import OutlierMasks
+from sim.sensors.simulated import outliers
 from sim.sensors.vehicle_state import VehicleState
 
 _MIN_COSINE = math.cos(math.radians(70.0))
 
 
 class BottomTracker:
-    """Bottom track of a profiler. ``outlier_masks`` holds the outliers (4,) of each ping."""
+    """Bottom track of a profiler."""
 
     def __init__(self, settings: BottomTracking, instrument: Instrument, bottom_m: float | None, seed: int) -> None:
         """Create a bottom track that draws noise, losses and outliers from a stream of its own.
@@ -37,7 +37,6 @@ class BottomTracker:
         self._settings, self._instrument = settings, instrument
         self._bottom_m = math.inf if bottom_m is None else bottom_m
         self._draws = generator(seed, Stream.BOTTOM_TRACK)
-        self.outlier_masks = OutlierMasks()
 
     def sample(self, now: VehicleState) -> list[BottomTrack]:
         """Return one ping, also if no beam has found the bottom."""
@@ -49,10 +48,8 @@ class BottomTracker:
         lost = self._draws.random(4) < settings.missing_share
         uniform = self._draws.random(4)
         lost |= (u[:, 2] < _MIN_COSINE) | (not 0.0 < altitude <= settings.range_m)
-        up, down = uniform < 0.5 * settings.outlier_share, uniform > 1.0 - 0.5 * settings.outlier_share
-        self.outlier_masks.put(now.t_ns, up | down)
         velocity = u @ -np.array(now.point_velocity_mps(lever)) + settings.beam_noise_sd_mps * noise
-        velocity += settings.outlier_mps * (up.astype(np.float64) - down.astype(np.float64))
+        velocity += settings.outlier_mps * outliers(uniform, settings.outlier_share)
         velocity[lost] = np.nan
         slant: Array = np.full(4, np.nan)
         slant[~lost] = altitude / u[~lost, 2]

@@ -21,7 +21,6 @@ import numpy as np
 from ltv_mpc.localisation.sensors.lbl import Lbl
 from ltv_mpc.messages import MAX_TRAVEL_TIME_S, LblRange, Triple
 from sim.random_streams import Stream, generator
-from sim.sensors.outlier_masks import OutlierMasks
 from sim.sensors.vehicle_state import Motion, VehicleState
 
 
@@ -32,17 +31,15 @@ class _Reply(NamedTuple):
     transponder: int
     there_s: float  # tau_1
     error_s: float
-    is_outlier: bool
 
 
 class AcousticTransceiver:
-    """LBL transceiver of the vehicle. ``outlier_masks`` holds the outlier (1,) of each range."""
+    """LBL transceiver of the vehicle."""
 
     def __init__(self, settings: Lbl, seed: int) -> None:
         """Draw the sound speed. Noise, losses and outliers of all transponders are drawn at each interrogation."""
         self._settings, self._draws = settings, generator(seed, Stream.LBL)
         self.sound_speed_mps = settings.sound_speed_mps + settings.sound_speed_sd_mps * self._draws.standard_normal()
-        self.outlier_masks = OutlierMasks()
         self._under_way: list[_Reply] = []
 
     def sample(self, now: VehicleState) -> list[LblRange]:
@@ -59,7 +56,7 @@ class AcousticTransceiver:
         error = 2.0 * (noise + np.where(outlier, detour, 0.0)) / settings.sound_speed_mps
         for j in np.flatnonzero(~lost).tolist():
             there = self._one_way_s(head, j)
-            self._under_way.append(_Reply(now.t_ns, j, there, float(error[j]), bool(outlier[j])))
+            self._under_way.append(_Reply(now.t_ns, j, there, float(error[j])))
         return []
 
     def answers(self, motion: Motion, until_ns: int) -> list[LblRange]:
@@ -77,7 +74,6 @@ class AcousticTransceiver:
                 tau = self._time_s(reply, motion, reply.sent_ns + round(tau * 1e9))
             tau = max(tau + reply.error_s, 0.0)
             t_ns = reply.sent_ns + round(0.5e9 * tau)
-            self.outlier_masks.put(t_ns, np.array([reply.is_outlier]))
             arrived.append(LblRange(t_ns=t_ns, transponder=reply.transponder, travel_time_s=tau))
         self._under_way = waiting
         return arrived

@@ -1,12 +1,14 @@
-"""Interface of the simulated sensors."""
+"""Interface of the simulated sensors, and the outliers of those that have them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
+import numpy as np
+
 from ltv_mpc.localisation.sensor_config import SensorConfig
-from ltv_mpc.messages import Message
+from ltv_mpc.messages import Array, Message
 from sim.sensors.vehicle_state import Motion, VehicleState
 from sim.water import WaterColumn
 
@@ -46,3 +48,8 @@ class InterrogatingSensor(Protocol):
     def arrival_ns(self, message: Any) -> int:
         """Return the time (ns) at which a message of ``answers`` arrives."""
         ...
+
+
+def outliers(uniform: Array, share: float) -> Array:
+    """Return 1 or -1 at a share of the places, each sign at half of it, and 0 at the others; ``uniform`` decides."""
+    return (uniform < 0.5 * share).astype(np.float64) - (uniform > 1.0 - 0.5 * share)

@@ -12,22 +12,19 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from ltv_mpc.localisation.sensors.usbl import Usbl
 from ltv_mpc.messages import UsblFix
 from sim.random_streams import Stream, generator
-from sim.sensors.outlier_masks import OutlierMasks
+from sim.sensors.simulated import outliers
 from sim.sensors.vehicle_state import VehicleState
 
 
 class ShipTransceiver:
-    """USBL transceiver on a ship. ``outlier_masks`` holds the outliers (2,) of each fix."""
+    """USBL transceiver on a ship."""
 
     def __init__(self, settings: Usbl, seed: int) -> None:
         """Create a transceiver that draws noise, losses and outliers from a stream of its own."""
         self._settings, self._draws = settings, generator(seed, Stream.USBL)
-        self.outlier_masks = OutlierMasks()
 
     def sample(self, now: VehicleState) -> list[UsblFix]:
         """Return the position of the beacon as the ship measures it now."""
@@ -40,9 +37,7 @@ class ShipTransceiver:
         if lost or beacon[2] <= 0.0:
             return []
         slant = math.dist(beacon, (*settings.ship_m, 0.0))
-        up, down = uniform < 0.5 * settings.outlier_share, uniform > 1.0 - 0.5 * settings.outlier_share
-        self.outlier_masks.put(now.t_ns, up | down)
         error = math.hypot(settings.position_sd_m, settings.bearing_sd_rad * slant) * noise
-        error += settings.outlier_m * (up.astype(np.float64) - down.astype(np.float64))
+        error += settings.outlier_m * outliers(uniform, settings.outlier_share)
         north, east = error.tolist()
         return [UsblFix(t_ns=now.t_ns, north_m=beacon[0] + north, east_m=beacon[1] + east)]

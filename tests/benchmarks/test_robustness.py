@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks.rivals import lqr
 from benchmarks.robustness import tuning
-from benchmarks.robustness.cases import CASES, DEFAULTS, QUICK, RIGHT, conditions, parsed
+from benchmarks.robustness.cases import CASES, DEFAULTS, RIGHT, conditions, parsed
 from benchmarks.robustness.flights import Job, Row, judged
 from benchmarks.robustness.laws import DEFAULT, LQR, PID
 from benchmarks.strangers.flight import Conditions, fly, load
@@ -53,15 +53,14 @@ def conditions_in_still_water(case: str) -> Conditions:
     return Conditions(**{**vars(conditions(case, hull)), "current_mps": 0.0})
 
 
-def speed_mps(case: str, thrust_N: float = 10.0, at_s: float = 30.0) -> float:
+def speed_mps(case: str, at_s: float) -> float:
     """Return the speed of the light boat after some time of straight thrust; its drag ahead is quadratic."""
-    flight = fly("light_boat", Ahead(thrust_N), conditions_in_still_water(case), duration_s=at_s)
+    flight = fly("light_boat", Ahead(10.0), conditions_in_still_water(case), duration_s=at_s)
     return float(np.hypot(*flight.track[-1, 3:5]))
 
 
 def test_there_are_48_cases_and_each_is_another_plant_than_the_right_one() -> None:
     assert len(set(CASES)) == 48
-    assert set(QUICK) < set(CASES)
     hull = load("light_boat")[0]
     known = [conditions(case, hull) for case in CASES]
     assert all(one != other for i, one in enumerate(known) for other in known[:i])
@@ -77,18 +76,20 @@ def test_a_case_that_is_none_is_refused_by_name(case: str, says: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("case", "ratio"),
-    [("drag=0.5", math.sqrt(2.0)), ("thrust=0.7", math.sqrt(0.7)), ("mass=2", 1.0), ("dead_zone=0.3", 0.0)],
+    ("case", "ratio", "at_s"),
+    [
+        ("drag=0.5", math.sqrt(2.0), 30.0),
+        ("thrust=0.7", math.sqrt(0.7), 30.0),
+        ("mass=2", 1.0, 30.0),
+        ("mass=2", 0.5, 0.5),
+        ("dead_zone=0.3", 0.0, 30.0),
+    ],
 )
-def test_a_case_changes_the_true_vehicle_by_its_factor(case: str, ratio: float) -> None:
-    assert speed_mps(case) == pytest.approx(ratio * speed_mps(RIGHT), abs=0.02)
+def test_a_case_changes_the_true_vehicle_by_its_factor(case: str, ratio: float, at_s: float) -> None:
+    assert speed_mps(case, at_s) == pytest.approx(ratio * speed_mps(RIGHT, at_s), abs=0.02)
 
 
-def test_a_heavier_or_slower_plant_takes_longer_and_waves_carry_it() -> None:
-    early = speed_mps(RIGHT, at_s=0.5)
-    assert speed_mps("mass=2", at_s=0.5) == pytest.approx(0.5 * early, rel=0.1)
-    assert speed_mps("dead_time_s=0.3", at_s=0.8) == pytest.approx(early, rel=0.05)
-    assert speed_mps("lag_s=0.3", at_s=0.5) < 0.7 * early
+def test_waves_carry_the_plant() -> None:
     carried = fly("light_boat", Ahead(0.0), conditions_in_still_water("waves_V=0.15"), duration_s=8.0)
     speeds = np.hypot(*carried.track[:, 3:5].T)
     assert speeds.max() == pytest.approx(0.15 * load("light_boat")[0].top_speed_mps(), rel=0.02)

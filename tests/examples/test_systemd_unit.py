@@ -22,13 +22,8 @@ UNITS = sorted(FOLDER.glob("*.service"))
 PAGE = FOLDER.parents[1] / "docs" / "boat.md"
 SANDBOX = (
     *("ProtectHome", "PrivateTmp", "NoNewPrivileges", "CapabilityBoundingSet", "RestrictAddressFamilies"),
-    *(
-        "RestrictNamespaces",
-        "SystemCallFilter",
-        "ProtectKernelTunables",
-        "ProtectControlGroups",
-        "ProtectKernelModules",
-    ),
+    *("RestrictNamespaces", "SystemCallFilter", "ProtectKernelTunables", "ProtectControlGroups"),
+    "ProtectKernelModules",
     *("ProtectKernelLogs", "ProtectClock", "PrivateDevices", "RestrictSUIDSGID", "SystemCallArchitectures"),
 )
 PROGRAM = "/opt/ltv-mpc/bin/ltv-mpc"

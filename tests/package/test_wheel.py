@@ -22,15 +22,8 @@ EXTRAS = {
     *("bench", "docs", "mutation", "dev", "notebook"),
 }
 CORE_LACKS = (
-    "plotly",
-    "matplotlib",
-    "pyarrow",
-    "distributed",
-    "cryptography",
-    "rosbags",
-    "starlette",
-    "sphinx",
-    "pytest",
+    *("plotly", "matplotlib", "pyarrow", "distributed", "cryptography"),
+    *("rosbags", "starlette", "sphinx", "pytest"),
 )
 
 

@@ -12,25 +12,18 @@ from ltv_mpc.messages import Disturbance, Truth
 from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.vehicle.parameters import Vehicle
 from sim.plant import STEP_NS, Plant
-from sim.scenario import Mismatch, Scenario
+from sim.scenario import Scenario, with_overrides
 from sim.water import make
 from tests.ltv_mpc.plans import plan_of
+from tests.sim.worlds import S
 
-S = 1_000_000_000
 VEHICLE = Vehicle.load("paper")
 M = VEHICLE.coefficients()
 
 
-def plant_of(*, thrust: float = 1.0, heading_rad: float = 0.0) -> Plant:
-    base = Scenario.load("descent")
-    settings = msgspec.structs.replace(
-        base,
-        plant=msgspec.structs.replace(
-            base.plant, mismatch=Mismatch(thrust=thrust), heading_rad=heading_rad, depth_m=20.0
-        ),
-        water=msgspec.structs.replace(base.water, sd_mps=0.0),
-    )
-    return Plant(settings, VEHICLE, make(settings.water, 0))
+def plant_of(*settings: str) -> Plant:
+    scenario = with_overrides(Scenario.load("descent"), ["water.sd_mps=0", "plant.depth_m=20", *settings])
+    return Plant(scenario, VEHICLE, make(scenario.water, 0))
 
 
 def steady(thrust_N: tuple[float, float, float]) -> ReceivedMessage:
@@ -53,8 +46,8 @@ def test_a_short_push_changes_the_momentum_by_its_impulse():
     """f dt = M dv along each axis of the body, m dt = I dr; damping of a vehicle at rest is of second order."""
     push = Disturbance(end_t_ns=S // 10, force_N=(40.0, -30.0, 20.0), yaw_moment_Nm=15.0)
     heading = 0.7
-    moved = run(plant_of(heading_rad=heading), S // 10, disturbance=push)[S // 10]
-    still = run(plant_of(heading_rad=heading), S // 10)[S // 10]  # it rises by its buoyancy
+    moved = run(plant_of("plant.heading_rad=0.7"), S // 10, disturbance=push)[S // 10]
+    still = run(plant_of("plant.heading_rad=0.7"), S // 10)[S // 10]  # it rises by its buoyancy
     ahead = 40.0 * math.cos(heading) - 30.0 * math.sin(heading)
     to_starboard = -30.0 * math.cos(heading) - 40.0 * math.sin(heading)
     expected = (0.1 * ahead / M.mass_surge, 0.1 * to_starboard / M.mass_sway, 0.1 * 20.0 / M.mass_heave)
@@ -68,7 +61,7 @@ def test_lost_thrust_moves_the_vehicle_as_one_whose_propellers_give_less():
     lost = Disturbance(end_t_ns=60 * S, thrust_scale=(0.6, 0.6, 0.6))
     thrust = (40.0, 25.0, 30.0)
     here = run(plant_of(), 8 * S, disturbance=lost, plan=steady(thrust))
-    there = run(plant_of(thrust=0.6), 8 * S, plan=steady(thrust))
+    there = run(plant_of("plant.mismatch.thrust=0.6"), 8 * S, plan=steady(thrust))
     for t in (2 * S, 5 * S, 8 * S):
         np.testing.assert_allclose(here[t].position_m, there[t].position_m, atol=2e-4)
         np.testing.assert_allclose(here[t].thrust_N, there[t].thrust_N, rtol=1e-2)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import pytest
+from msgspec.structs import replace
 
 from ltv_mpc.messages import (
     CycleTiming,
@@ -20,32 +21,15 @@ from ltv_mpc.messages import (
 from ltv_mpc.node import Cycle, Grid, Inbox, Node, OnMessage, ReceivedMessage
 from sim.scheduler import LockStep, Observation, Step
 from tests.sim.table import MS, Fake, plan
-
-
-def truth(t_ns: int) -> Truth:
-    still = (0.0, 0.0, 0.0)
-    return Truth(
-        t_ns=t_ns,
-        position_m=still,
-        velocity_mps=still,
-        attitude_rad=still,
-        water_velocity_mps=still,
-        yaw_rate_radps=0.0,
-        current_mps=(0.0, 0.0),
-        thrust_N=still,
-    )
+from tests.sim.worlds import truth
 
 
 def estimate(t_ns: int) -> Estimate:
-    return Estimate(
-        t_ns=t_ns,
-        north_m=0.0,
-        east_m=0.0,
-        heading_rad=0.0,
-        yaw_rate_radps=0.0,
-        velocity_north_mps=0.0,
-        velocity_east_mps=0.0,
-    )
+    return replace(Estimate.at_rest(), t_ns=t_ns)
+
+
+def event(t_ns: int, _: Inbox) -> list[Message]:
+    return [RunEvent(t_ns=t_ns, node="first", kind="k", text="")]
 
 
 def depths(t_ns: int, _: Inbox) -> list[Message]:
@@ -54,6 +38,9 @@ def depths(t_ns: int, _: Inbox) -> list[Message]:
 
 def estimates(t_ns: int, _: Inbox) -> list[Message]:
     return [estimate(t_ns)]
+
+
+Answer = Callable[[int, Inbox], list[Message]]
 
 
 class Log:
@@ -86,6 +73,14 @@ def plant() -> Fake:
     return Fake("plant", Grid(10 * MS), (Plan,), lambda t_ns, _: [truth(t_ns)], (Truth,))
 
 
+def sensors(answer: Answer = depths) -> Fake:
+    return Fake("sensors", OnMessage((Truth,)), (Truth,), answer, (PressureDepth,))
+
+
+def estimator(answer: Answer = estimates) -> Fake:
+    return Fake("estimator", OnMessage((PressureDepth,)), (PressureDepth,), answer, (Estimate,))
+
+
 def controller(period_ms: int = 300) -> Fake:
     newest = {"t_ns": 0}
 
@@ -105,63 +100,40 @@ def test_a_grid_steps_at_multiples_of_its_period_with_start_and_end_included() -
 
 
 def test_at_one_instant_nodes_step_in_the_order_of_the_list() -> None:
-    sensors = Fake("sensors", OnMessage((Truth,)), (Truth,), depths, (PressureDepth,))
-    estimator = Fake(
-        "estimator", OnMessage((PressureDepth,)), (PressureDepth,), lambda t_ns, _: [estimate(t_ns)], (Estimate,)
-    )
     log = Log()
-    run([plant(), sensors, estimator, controller(20)], start_ns=0, end_ns=20 * MS, observe=log)
+    run([plant(), sensors(), estimator(), controller(20)], start_ns=0, end_ns=20 * MS, observe=log)
     steps = [(line[1], line[2]) for line in log.lines if line[0] == "step"]
     table = ["plant", "sensors", "estimator", "controller"]
     assert steps == [(0, n) for n in table] + [(10, n) for n in table[:3]] + [(20, n) for n in table]
 
 
 def test_the_observer_receives_a_step_before_its_outputs_with_its_cause() -> None:
-    sensors = Fake("sensors", OnMessage((Truth,)), (Truth,), depths, (PressureDepth,))
+    """A step on a message has the message's validity time and publishes on arrival."""
     log = Log()
-    run([plant(), sensors], start_ns=0, end_ns=10 * MS, observe=log)
+    late = sensors(lambda t_ns, _: [PressureDepth(t_ns=t_ns - 3 * MS, depth_m=0.0)])
+    run([plant(), late, estimator()], start_ns=0, end_ns=10 * MS, observe=log)
     assert log.lines == [
-        ("step", 0, "plant", 0, 0, "grid", 0),
-        ("out", 0, "plant", Truth, 1, 0),
-        ("step", 0, "sensors", 0, 0, Truth, 1),
-        ("out", 0, "sensors", PressureDepth, 1, 0),
-        ("step", 10, "plant", 1, 10, "grid", 0),
-        ("out", 10, "plant", Truth, 1, 1),
-        ("step", 10, "sensors", 1, 10, Truth, 1),
-        ("out", 10, "sensors", PressureDepth, 1, 1),
-    ]
-
-
-def test_a_step_on_a_message_has_its_validity_time_and_publishes_on_arrival() -> None:
-    def late(t_ns: int, _: Inbox) -> list[Message]:
-        return [PressureDepth(t_ns=t_ns - 3 * MS, depth_m=0.0)]
-
-    sensors = Fake("sensors", OnMessage((Truth,)), (Truth,), late, (PressureDepth,))
-    estimator = Fake(
-        "estimator", OnMessage((PressureDepth,)), (PressureDepth,), lambda t_ns, _: [estimate(t_ns)], (Estimate,)
-    )
-    log = Log()
-    run([plant(), sensors, estimator], start_ns=10 * MS, end_ns=10 * MS, observe=log)
-    assert log.lines[-2:] == [
-        ("step", 10, "estimator", 0, 7, PressureDepth, 1),
-        ("out", 10, "estimator", Estimate, 1, 0),
+        line
+        for k, at in enumerate((0, 10))
+        for line in (
+            ("step", at, "plant", k, at, "grid", 0),
+            ("out", at, "plant", Truth, 1, k),
+            ("step", at, "sensors", k, at, Truth, 1),
+            ("out", at, "sensors", PressureDepth, 1, k),
+            ("step", at, "estimator", k, at - 3, PressureDepth, 1),
+            ("out", at, "estimator", Estimate, 1, k),
+        )
     ]
 
 
 def test_several_messages_at_once_are_stepped_one_by_one_in_order_of_arrival() -> None:
-    def two(t_ns: int, _: Inbox) -> list[Message]:
-        return [PressureDepth(t_ns=t_ns - 2 * MS, depth_m=0.0), PressureDepth(t_ns=t_ns, depth_m=0.0)]
-
-    sensors = Fake("sensors", OnMessage((Truth,)), (Truth,), two, (PressureDepth,))
-    estimator = Fake("estimator", OnMessage((PressureDepth,)), (PressureDepth,))
-    run([plant(), sensors, estimator], start_ns=0, end_ns=0)
-    assert estimator.seen == [(-2 * MS, [(PressureDepth, 0, 0)]), (0, [(PressureDepth, 1, 0)])]
+    two = sensors(lambda t_ns, _: [PressureDepth(t_ns=t_ns - early, depth_m=0.0) for early in (2 * MS, 0)])
+    reader = estimator(lambda _t_ns, _inbox: [])
+    run([plant(), two, reader], start_ns=0, end_ns=0)
+    assert reader.seen == [(-2 * MS, [(PressureDepth, 0, 0)]), (0, [(PressureDepth, 1, 0)])]
 
 
 def test_messages_that_cause_no_step_wait_and_precede_the_one_that_does() -> None:
-    def event(t_ns: int, _: Inbox) -> list[Message]:
-        return [RunEvent(t_ns=t_ns, node="first", kind="k", text="")]
-
     first = Fake("first", Grid(10 * MS), (), event, (RunEvent,))
     source = Fake("plant", Grid(20 * MS), (), lambda t_ns, _: [truth(t_ns)], (Truth,))
     reader = Fake("reader", OnMessage((Truth,)), (Truth, RunEvent))
@@ -190,16 +162,10 @@ def test_a_cycle_starts_at_its_period_or_when_the_last_one_ends_if_that_is_later
     assert node.times_ms == cycles_ms
 
 
-def test_a_plan_arrives_one_delay_after_its_cycle_and_before_steps_of_that_instant() -> None:
-    node = plant()
-    run([node, controller()], start_ns=0, end_ns=730 * MS, compute_delay_ns=710 * MS)
-    got = {t_ns // MS: kinds for t_ns, kinds in node.seen if kinds}
-    assert got == {710: [(Plan, 0, 710 * MS)]}
-
-
-def test_the_next_cycle_receives_the_timing_of_the_last_one_without_a_pause() -> None:
-    node = controller()
-    run([node], start_ns=0, end_ns=710 * MS, compute_delay_ns=710 * MS)
+def test_a_plan_arrives_one_delay_after_its_cycle_and_the_next_cycle_receives_its_timing_without_a_pause() -> None:
+    reader, node = plant(), controller()
+    run([reader, node], start_ns=0, end_ns=730 * MS, compute_delay_ns=710 * MS)
+    assert {t_ns // MS: kinds for t_ns, kinds in reader.seen if kinds} == {710: [(Plan, 0, 710 * MS)]}
     assert node.seen == [(0, []), (710 * MS, [(CycleTiming, 0, 710 * MS)])]
 
 
@@ -228,7 +194,7 @@ def test_of_estimates_a_cycle_is_handed_the_newest_and_of_everything_else_each()
         "estimator",
         Grid(100 * MS),
         (),
-        lambda t_ns, _: [estimate(t_ns), RunEvent(t_ns=t_ns, node="estimator", kind="k", text="")],
+        lambda t_ns, inbox: [estimate(t_ns), *event(t_ns, inbox)],
         (Estimate, RunEvent),
     )
     node = Fake("controller", Cycle(300 * MS), (Estimate, RunEvent))
@@ -296,13 +262,9 @@ def test_a_message_of_a_type_that_a_node_does_not_declare_is_an_error() -> None:
 
 
 def test_what_happened_before_a_step_that_raises_is_told_and_that_step_too() -> None:
-    def fails(t_ns: int, _: Inbox) -> list[Message]:
-        if t_ns == 20 * MS:
-            raise ZeroDivisionError
-        return []
-
     log = Log()
+    failing = sensors(lambda t_ns, _: [] if t_ns < 20 * MS else [1 / 0])
     with pytest.raises(ZeroDivisionError):
-        run([plant(), Fake("sensors", OnMessage((Truth,)), (Truth,), fails)], start_ns=0, end_ns=20 * MS, observe=log)
+        run([plant(), failing], start_ns=0, end_ns=20 * MS, observe=log)
     assert [line[1:3] for line in log.lines if line[0] == "step"][-2:] == [(20, "plant"), (20, "sensors")]
     assert [line[1] for line in log.lines if line[0] == "out"] == [0, 10, 20]

@@ -31,10 +31,6 @@ def test_a_hull_rests_at_its_point_whatever_point_of_it_the_estimates_are_of(row
     assert figures.share <= 1.0, figures
 
 
-def test_a_sound_hull_in_still_water_keeps_all_limits() -> None:
-    assert hold.judge(Row("light_boat"), 1).share < 0.5
-
-
 def test_the_estimates_are_of_the_point_that_the_conditions_name() -> None:
     """A pilot that notes what it is told, on a hull that turns: the point moves as a point of a rigid body does."""
 
@@ -74,10 +70,3 @@ def test_released_thrusters_rest_and_the_slew_of_the_file_is_kept() -> None:
     assert np.abs(flight.command_N[rests]).max() == 0.0
     assert np.abs(np.diff(flight.command_N, axis=0)).max() <= 0.01 * vehicle.thrusters[0].slew_N_per_s + 1e-9
     assert np.abs(flight.command_N[flight.between(7.0, 8.0)]).max() > 1.0
-
-
-def test_the_force_that_a_current_needs_is_the_drag_of_its_speed() -> None:
-    flight = fly(
-        "surface", Ours(load("surface")[1], Point(north_m=0.0, east_m=0.0)), Conditions(current_mps=0.3), duration_s=0.5
-    )
-    assert flight.needed_N == pytest.approx(0.5 * 77.6 * 0.3)

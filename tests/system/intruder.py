@@ -33,30 +33,25 @@ MEBIBYTE = 1 << 20
 
 
 def opened(folder: str | None, role: str, endpoint: str = ENDPOINT, patience_ms: int = 10_000) -> zenoh.Session:
-    config = zenoh.Config()
     settings: dict[str, Any] = {
         "mode": "client",
-        "scouting/multicast/enabled": False,
-        "connect/endpoints": [endpoint],
-        "connect/timeout_ms": patience_ms,
+        "scouting": {"multicast": {"enabled": False}},
+        "connect": {"endpoints": [endpoint], "timeout_ms": patience_ms},
     }
     if folder is not None:
-        own = {"root_ca_certificate": f"{folder}/ca.pem"}
+        own = {"root_ca_certificate": f"{folder}/ca.pem", "enable_mtls": bool(role)}
         if role:
             own |= {"connect_certificate": f"{folder}/{role}.pem", "connect_private_key": f"{folder}/{role}.key"}
-        settings["transport/link/tls"] = own | {"enable_mtls": bool(role)}
-    for key, value in settings.items():
-        config.insert_json5(key, json.dumps(value))
-    return zenoh.open(config)
+        settings["transport"] = {"link": {"tls": own}}
+    return zenoh.open(zenoh.Config.from_json5(json.dumps(settings)))
 
 
 def refused_connections() -> int:
     """Try connections that must be refused: no certificate, the role by another authority (trusted or not), no TLS."""
     both = Path(FOREIGN) / "mixed"  # believes the run's authority, shows the other's certificate
     both.mkdir(exist_ok=True)
-    (both / "ca.pem").write_bytes((Path(CERTS) / "ca.pem").read_bytes())
-    for name in ("controller.pem", "controller.key"):
-        (both / name).write_bytes((Path(FOREIGN) / name).read_bytes())
+    for folder, name in ((CERTS, "ca.pem"), (FOREIGN, "controller.pem"), (FOREIGN, "controller.key")):
+        (both / name).write_bytes((Path(folder) / name).read_bytes())
     ways = [
         (CERTS, "", ENDPOINT),
         (FOREIGN, "controller", ENDPOINT),
@@ -120,17 +115,8 @@ def with_stolen_key(estimates: list[bytes]) -> int:
     All of them once, then replayed ones until the standard input closes: a reader may lose some of a flood.
     """
     fields = msgpack.unpackb(estimates[-1])
-    broken = [
-        b"",
-        b"\xc1",
-        random.randbytes(200),
-        msgpack.packb([1, 2, 3]),
-        msgpack.packb(fields | {"north_m": float("nan")}),
-        msgpack.packb({name: value for name, value in fields.items() if name != "heading_rad"}),
-        msgpack.packb(fields | {"admin": True}),
-        msgpack.packb(fields | {"epoch": "x"}),
-        estimates[-1][:-7],
-    ]
+    wrong = [[1, 2, 3], *(fields | one for one in ({"north_m": float("nan")}, {"admin": True}, {"epoch": "x"}))]
+    broken = [b"", b"\xc1", random.randbytes(200), estimates[-1][:-7], *map(msgpack.packb, wrong)]
     with opened(CERTS, "estimator") as session:
         publisher = session.declare_publisher(f"{NAMESPACE}/estimate", congestion_control=KEPT)
         while not publisher.matching_status.matching:

@@ -70,7 +70,7 @@ def wild_accelerometer(message):
     )
 
 
-CASES = {"short": (scaled_doppler, 30, 80), "long": (wild_accelerometer, 55, 100)}
+CASES = {"short": (scaled_doppler, 30, 60), "long": (wild_accelerometer, 45, 75)}
 """What is altered, until when, and the end of the run (s). The long one goes on through restarts."""
 
 SEED = 4
@@ -94,7 +94,7 @@ def fixed():
     def without_early_fixes(message):
         return None if isinstance(message, UsblFix) and message.t_ns < FIRST_FIX_S * SECOND else message
 
-    return Flown(without_early_fixes, 45, f"sensors={USBL}", "run.seed=3", "plant.depth_m=5")
+    return Flown(without_early_fixes, 35, f"sensors={USBL}", "run.seed=3", "plant.depth_m=5")
 
 
 @pytest.mark.parametrize("case", CASES)

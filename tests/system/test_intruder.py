@@ -7,7 +7,10 @@ import re
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -40,12 +43,6 @@ OWN_ESTIMATES = 200
 """Estimates of the run in the three seconds of a replay, or in the ten that they last on a busy host."""
 
 
-def ended_in_order(process: subprocess.Popen[bytes] | subprocess.Popen[str]) -> None:
-    if process.poll() is None:
-        process.kill()
-    process.wait()
-
-
 def router_of(run: Path, launcher: subprocess.Popen[bytes], log: Path) -> tuple[str, str]:
     """Return endpoint and namespace from the configuration of the router."""
     recording = run / "run.mcap"
@@ -58,33 +55,37 @@ def router_of(run: Path, launcher: subprocess.Popen[bytes], log: Path) -> tuple[
 class Ears:
     """Log of the processes' status: their steps, their counts, and what the router has denied."""
 
-    def __init__(self) -> None:
-        self.box = Mailbox()
+    def __init__(self, session: Session) -> None:
+        self._box = Mailbox()
         self.taken: list[tuple[str, int, int]] = []  # key, epoch, sequence: into steps of plant and controller
         self.own: set[int] = set()  # epochs of the run's processes
-        self.status: dict[str, NodeStatus] = {}
+        self.rejected: dict[str, int] = {}
         self.denied: list[str] = []
-
-    def subscribe(self, session: Session) -> None:
         for kind in (StepRecord, NodeStatus, RunEvent):
-            session.subscribe(f"{BY_TYPE[kind].key}/*", BY_TYPE[kind], self.box)
+            session.subscribe(f"{BY_TYPE[kind].key}/*", BY_TYPE[kind], self._box)
 
-    def hear(self, timeout_s: float) -> bool:
-        frame = self.box.take(timeout_s)
-        if frame is None or frame.topic is None:
-            return False
-        said, header = decode(frame.topic.message_type, frame.payload)
-        if isinstance(said, NodeStatus):
-            self.own.add(header.epoch)
-            self.status[said.node] = said
-        elif isinstance(said, StepRecord) and said.node in ("plant", "controller"):
-            self.taken += [(entry.key, entry.epoch, entry.sequence) for step in said.steps for entry in step.inbox]
-        elif isinstance(said, RunEvent) and said.node == "router":
-            self.denied.append(said.text)
-        return True
+    def hear(self) -> None:
+        """Take in what has arrived."""
+        while (frame := self._box.take(0.0)) is not None:
+            assert frame.topic is not None
+            said, header = decode(frame.topic.message_type, frame.payload)
+            if isinstance(said, NodeStatus):
+                self.own.add(header.epoch)
+                self.rejected[said.node] = said.rejected
+            elif isinstance(said, StepRecord) and said.node in ("plant", "controller"):
+                self.taken += [(entry.key, entry.epoch, entry.sequence) for step in said.steps for entry in step.inbox]
+            elif isinstance(said, RunEvent) and said.node == "router":
+                self.denied.append(said.text)
 
-    def rejected(self, node: str) -> int:
-        return self.status[node].rejected if node in self.status else 0
+
+@contextmanager
+def killed(*command: str, **options: Any) -> Iterator[subprocess.Popen[Any]]:
+    """Run a process that does not outlive the block."""
+    with subprocess.Popen(command, **options) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
 
 
 @pytest.mark.timeout(600)
@@ -93,40 +94,32 @@ def test_ten_thousand_frames_of_an_intruder_reach_neither_plant_nor_controller(t
     certificates.make(certs, ROLES, days=1)
     certificates.make(foreign, ROLES, days=1)
     options = ("--duration-s", "1000", "--speed", "2", "--certs", str(certs), "--out", str(run))
-    ears = Ears()
-    with log.open("wb") as output:
-        launcher = subprocess.Popen([*CLI, "sim", *options], stdin=subprocess.DEVNULL, stdout=output, stderr=output)
-    try:
+    with (
+        log.open("wb") as output,
+        killed(*CLI, "sim", *options, stdin=subprocess.DEVNULL, stdout=output, stderr=output) as launcher,
+    ):
         endpoint, namespace = router_of(run, launcher, log)
+        attack = sys.executable, str(INTRUDER), endpoint, namespace, str(certs), str(foreign)
         bus = BusOptions(connect=(endpoint,), namespace=namespace, certs=certs, role="display")
-        with open_session(bus, stop=StopRequest(), say=print) as session:
-            ears.subscribe(session)
-            attack = subprocess.Popen(
-                [sys.executable, str(INTRUDER), endpoint, namespace, str(certs), str(foreign)],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                text=True,
-            )
-            try:
-                assert attack.stdout is not None
-                assert attack.stdout.readline() == "sent once\n"
+        with (
+            open_session(bus, stop=StopRequest(), say=print) as session,
+            killed(*attack, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as intruder,
+        ):
+            ears = Ears(session)
+            assert intruder.stdout is not None
+            assert intruder.stdout.readline() == "sent once\n"
 
-                def turned_away() -> bool:
-                    assert launcher.poll() is None, log.read_text()
-                    while ears.hear(0.0):
-                        pass
-                    return ears.rejected("controller") >= REFUSED and ears.rejected("router") >= WRONG_ROLE
+            def turned_away() -> bool:
+                assert launcher.poll() is None, log.read_text()
+                ears.hear()
+                return ears.rejected.get("controller", 0) >= REFUSED and ears.rejected.get("router", 0) >= WRONG_ROLE
 
-                until(turned_away)
-                sent = json.loads(attack.communicate()[0])
-                assert attack.returncode == 0
-            finally:
-                ended_in_order(attack)
-            until(lambda: ears.hear(0.5) and len(ears.taken) >= ENOUGH)
+            until(turned_away)
+            sent = json.loads(intruder.communicate()[0])
+            assert intruder.returncode == 0
+            until(lambda: ears.hear() or len(ears.taken) >= ENOUGH)
         launcher.send_signal(signal.SIGINT)
         assert launcher.wait(PATIENCE_S) == 130
-    finally:
-        ended_in_order(launcher)
     assert sent["denied"] + sent["refused"] + sent["connections"] > 10_000
 
     # What the plant's and the controller's steps were given, each frame once, comes from the run's own processes.
@@ -137,8 +130,8 @@ def test_ten_thousand_frames_of_an_intruder_reach_neither_plant_nor_controller(t
 
     # The reader counts what it has refused, and the router what it has denied.
     # Replayed frames have the epoch of the true estimator, whose own frames may then exceed the limit of its rate.
-    assert REFUSED <= ears.rejected("controller") <= sent["refused"] + OWN_ESTIMATES
-    assert ears.rejected("plant") == 0
+    assert REFUSED <= ears.rejected["controller"] <= sent["refused"] + OWN_ESTIMATES
+    assert ears.rejected["plant"] == 0
     assert len(ears.denied) <= len(str(sent["denied"] + sent["connections"])) + 1  # at 1, 10, 100, ... and at the end
     assert any(re.search(r"display may not put on \S+/plan", text) for text in ears.denied)
     assert "denied" in log.read_text()

@@ -42,13 +42,6 @@ class FrontOrGyroTest:
         self._moved_mps: list[Array] = []  # D (2,)
         self._turned_s: list[Array] = []  # (2, 2) s, integral of the body axes x and y, north and east
 
-    def copy(self) -> FrontOrGyroTest:
-        """Return an independent copy."""
-        other = FrontOrGyroTest()
-        other._t_s, other._moved_mps = list(self._t_s), list(self._moved_mps)
-        other._turned_s = list(self._turned_s)
-        return other
-
     def add(self, belief: Belief, moved_mps: Array) -> None:
         """Add the correction of one ping.
 

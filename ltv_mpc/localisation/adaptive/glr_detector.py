@@ -90,12 +90,6 @@ class GlrDetector:
         self._start_ns: Instants = np.full(STEPS, _NONE_NS)
         self._pending_s = 0.0
 
-    def copy(self) -> GlrDetector:
-        """Return an independent copy."""
-        other = GlrDetector()
-        other._start_ns, other._pending_s = self._start_ns.copy(), self._pending_s
-        return other
-
     def reset(self, belief: Belief) -> None:
         """Discard all hypotheses and their evidence.
 

@@ -78,12 +78,6 @@ class InnovationMeanTest:
             return np.zeros(len(self.s))
         return _squares(self.s, self.W)
 
-    def copy(self) -> InnovationMeanTest:
-        """Return an independent copy. ``add`` replaces s and W and never writes into them, so they may be shared."""
-        other = InnovationMeanTest.__new__(InnovationMeanTest)
-        other.__dict__.update(self.__dict__)
-        return other
-
 
 def _squares(s: Array, W: Array) -> Array:
     """Return s^T W^-1 s, (T,), for s (T, G) and W (T, G, G)."""

@@ -122,16 +122,6 @@ class AdaptiveProcessNoise:
         self._is_gyro_fault = False
         self._clear()
 
-    def copy(self) -> AdaptiveProcessNoise:
-        """Return an independent copy."""
-        other = AdaptiveProcessNoise.__new__(AdaptiveProcessNoise)
-        other.__dict__.update(self.__dict__)
-        other._means, other._vertical, other._shears = self._means.copy(), self._vertical.copy(), self._shears.copy()
-        other._until_ns, other._lasted_ns = dict(self._until_ns), dict(self._lasted_ns)
-        other._glr = self._glr.copy()
-        other._drift = None if self._drift is None else self._drift.copy()
-        return other
-
     def reset_tests(self, belief: Belief) -> None:
         """Discard the evidence of the pings so far, because it is explained. The current inflation stays.
 

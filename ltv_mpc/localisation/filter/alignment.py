@@ -19,6 +19,7 @@ from __future__ import annotations
 import bisect
 import math
 from collections.abc import Sequence
+from typing import TypeVar
 
 import numpy as np
 
@@ -52,6 +53,9 @@ _MAX_MESSAGES = 6000
 
 HEAVE_SD_MPS = 0.1
 """Standard deviation of the vertical velocity at the surface (m/s)."""
+
+
+_Reading = TypeVar("_Reading", CompassHeading, PressureDepth)
 
 
 def levelling_samples(messages: Sequence[ImuSample | Measurement]) -> list[ImuSample]:
@@ -90,20 +94,14 @@ class Alignment:
         self._config = config
         self._prior = prior
         self._fix: GnssFix | None = None
-        self._heading: CompassHeading | None = None
-        self._depth: PressureDepth | None = None
-        self._messages: list[
-            ImuSample | Measurement
-        ] = []  # of the last FIX_TIMEOUT_NS of inertial samples, by time, then arrival
+        # Of the last FIX_TIMEOUT_NS of inertial samples, by time, then arrival
+        self._messages: list[ImuSample | Measurement] = []
 
     @property
     def waiting_for(self) -> str:
         """Names of the missing sensors, separated by commas; empty if alignment is possible."""
-        missing = [
-            name
-            for name, have in (("gnss", self._fix), ("compass", self._heading), ("pressure", self._depth))
-            if have is None
-        ]
+        have = {"gnss": self._fix, "compass": self._best(CompassHeading), "pressure": self._best(PressureDepth)}
+        missing = [name for name, message in have.items() if message is None]
         if not missing:
             samples = self._samples()
             if not samples or samples[-1].t_ns - samples[0].t_ns < LEVELLING_NS:
@@ -131,25 +129,12 @@ class Alignment:
         # A receiver with a period shorter than the levelling must not restart it with each fix.
         if isinstance(message, GnssFix) and (self._fix is None or message.t_ns > self._fix.t_ns + LEVELLING_NS):
             self._fix = message
-            for earlier in self._messages:
-                self._select(earlier)
-        self._select(message)
 
-    def _select(self, message: ImuSample | Measurement) -> None:
-        if isinstance(message, CompassHeading) and (self._heading is None or self._is_better(message, self._heading)):
-            self._heading = message
-        elif isinstance(message, PressureDepth) and (self._depth is None or self._is_better(message, self._depth)):
-            self._depth = message
-
-    def _is_better(self, message: CompassHeading | PressureDepth, have: CompassHeading | PressureDepth) -> bool:
-        """Return True if a message is better than the one in use.
-
-        Best is the first at or after the fix, else the last before it; without a fix the newest.
-        """
-        if self._fix is None:
-            return message.t_ns > have.t_ns
-        new_ns, old_ns = message.t_ns - self._fix.t_ns, have.t_ns - self._fix.t_ns
-        return (new_ns < 0, abs(new_ns)) < (old_ns < 0, abs(old_ns))
+    def _best(self, kind: type[_Reading]) -> _Reading | None:
+        """Return the first message of a type at or after the fix, else the last before it; without a fix any."""
+        zero_ns = 0 if self._fix is None else self._fix.t_ns
+        messages = [message for message in self._messages if isinstance(message, kind)]
+        return min(messages, key=lambda m: (m.t_ns < zero_ns, abs(m.t_ns - zero_ns)), default=None)
 
     def _samples(self) -> list[ImuSample]:
         """Return the samples for levelling: those of the first ``LEVELLING_NS`` after the fix."""
@@ -160,8 +145,8 @@ class Alignment:
         if self._fix is None:
             return []
         first = bisect.bisect_right(self._messages, self._fix.t_ns, key=lambda m: m.t_ns)
-        makes = {(type(m), m.t_ns) for m in (self._heading, self._depth) if m is not None}
-        return [m for m in self._messages[first:] if (type(m), m.t_ns) not in makes]
+        makes = self._best(CompassHeading), self._best(PressureDepth)
+        return [m for m in self._messages[first:] if not any(m is one for one in makes)]
 
     def belief(self) -> tuple[Belief, list[ImuSample | Measurement]]:
         """Return the belief at t0 and the later messages, which the caller applies to it in order.
@@ -171,7 +156,7 @@ class Alignment:
         RuntimeError
             If a sensor is still missing (``waiting_for``).
         """
-        fix, heading, depth = self._fix, self._heading, self._depth
+        fix, heading, depth = self._fix, self._best(CompassHeading), self._best(PressureDepth)
         if fix is None or heading is None or depth is None:
             raise RuntimeError(f"cannot align: waiting for {self.waiting_for}")
         sensor_config = self._sensor_config

@@ -74,7 +74,7 @@ class FilterState:
         return replace(
             self,
             belief=self.belief.copy(),
-            process_noise=self.process_noise.copy(),
+            process_noise=copy.deepcopy(self.process_noise),
             Phi=self.Phi.copy(),
             Q=self.Q.copy(),
         )

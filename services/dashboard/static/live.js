@@ -194,7 +194,7 @@
 
   // Return the fact about the fence: what the newest plan keeps, and the zones and margins that the hull is in.
   function fenceFacts(fence) {
-    if (fence === null || fence.clearance_m === null) return [];
+    if (!fence || fence.clearance_m === null) return [];
     const parts = [`plan keeps ${figure(fence.clearance_m, 2, "m")} from ${fence.nearest}`];
     if (fence.inside.length) parts.push(`the hull is in ${fence.inside.join(", ")}`);
     else if (fence.in_margin.length) parts.push(`the hull is in the margin of ${fence.in_margin.join(", ")}`);
@@ -205,22 +205,22 @@
   function showStatus(now) {
     if (now === null) return;
     const degrees = now.heading_rad === null ? null : (((now.heading_rad * 180) / Math.PI) % 360 + 360) % 360;
-    const health = now.health === "" ? "" : now.health === "nominal" ? "good" : "bad";
+    const { plan, controller } = now; // empty while there is none
     const since = run.values.since_s === undefined ? "" : ` since t = ${run.values.since_s} s`;
     const entries = [
-      ["health", now.health_why ? `${now.health}: ${now.health_why}` : now.health || "–", health],
-      ["command authority", now.authority || "–"],
-      ["plan", now.why ? `${now.origin}: ${now.why}` : now.origin || "–"],
-      ...fenceFacts(now.fence),
+      ["health", plan.health_why ? `${plan.health}: ${plan.health_why}` : plan.health || "–", plan.health && (plan.health === "nominal" ? "good" : "bad")],
+      ["command authority", plan.authority || "–"],
+      ["plan", plan.why ? `${plan.origin}: ${plan.why}` : plan.origin || "–"],
+      ...fenceFacts(plan.fence),
       ["time", figure(now.t_s, 1, "s")],
       ["estimate from the reference", figure(now.error_m, 3, "m")],
       ...(now.simulated ? [["vehicle from the reference", figure(now.true_error_m, 3, "m") + since]] : []),
       ["depth", figure(now.depth_m, 1, "m")],
       ["heading", degrees === null ? "–" : `${degrees.toFixed(0)}°`],
       ["clock", clockText(now)],
-      ...(["", "default"].includes(now.source) ? [] : [["estimates from", now.source]]),
-      ...(now.progress === null ? [] : [["progress", `${(100 * now.progress).toFixed(0)} %`]]),
-      ...(now.arrived ? [["end of the reference", "arrived"]] : []),
+      ...([undefined, "", "default"].includes(controller.source) ? [] : [["estimates from", controller.source]]),
+      ...((controller.progress ?? null) === null ? [] : [["progress", `${(100 * controller.progress).toFixed(0)} %`]]),
+      ...(controller.arrived ? [["end of the reference", "arrived"]] : []),
     ];
     byId("facts").replaceChildren(...entries.map(([name, value, mood]) => {
       const fact = element("div", "");

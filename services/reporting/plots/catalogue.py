@@ -16,6 +16,11 @@ def _limits(label: str, *values: str) -> tuple[Level, ...]:
     return tuple(Level(label, value, palette.LIMIT) for value in values)
 
 
+def _band(label: str, table: str, low: str, high: str, colour: str) -> Series:
+    """Return a band over time between two columns."""
+    return Series(label, table, "t_s", low, colour, Style.BAND, y_high=high)
+
+
 TRACK = Plot(
     name="track",
     title="View from above",
@@ -99,15 +104,7 @@ ERRORS = Plot(
     group=Group.LINE,
     drifts=True,
     series=(
-        Series(
-            "2 sigma of the estimate",
-            "errors",
-            "t_s",
-            "minus_2_sigma_m",
-            palette.ESTIMATE,
-            Style.BAND,
-            y_high="plus_2_sigma_m",
-        ),
+        _band("2 sigma of the estimate", "errors", "minus_2_sigma_m", "plus_2_sigma_m", palette.ESTIMATE),
         Series("north", "errors", "t_s", "north_m", palette.NORTH, compared=True),
         Series("east", "errors", "t_s", "east_m", palette.EAST, compared=True),
     ),
@@ -328,7 +325,7 @@ RESIDUALS = Plot(
     group=Group.REVIEW,
     note="Error since t = 0, divided by the standard deviation of the filter in its worst direction; the band is ±2.",
     series=(
-        Series("±2", "residuals", "t_s", "low", palette.REFERENCE, Style.BAND, y_high="high"),
+        _band("±2", "residuals", "low", "high", palette.REFERENCE),
         Series("north", "residuals", "t_s", "north", palette.NORTH, compared=True),
         Series("east", "residuals", "t_s", "east", palette.EAST, compared=True),
     ),
@@ -352,7 +349,7 @@ def _innovations(measured: str, table: str) -> Plot:
             "of zero show a bias."
         ),
         series=(
-            Series("2 sd", table, "t_s", "minus_2_sd", palette.REFERENCE, Style.BAND, y_high="plus_2_sd"),
+            _band("2 sd", table, "minus_2_sd", "plus_2_sd", palette.REFERENCE),
             Series("innovation", table, "t_s", "innovation", palette.ESTIMATE, Style.POINT),
         ),
     )

@@ -17,12 +17,8 @@ def drawn(n: int = 200, *, seed: int = 3, pace: draw.Pace = campaign.PACE) -> li
     return draw.runs(INSIDE, n, seed=seed, several=8, seeds=4, pace=pace)
 
 
-def test_a_seed_gives_the_same_faults_and_another_gives_others():
-    assert drawn() == drawn()
-    assert drawn() != drawn(seed=4)
-
-
-def test_faults_are_spread_evenly_over_classes_and_targets():
+def test_faults_are_a_function_of_the_seed_and_spread_evenly_over_classes_and_targets():
+    assert drawn() == drawn() != drawn(seed=4)
     faults = [fault for run in drawn(400) for fault in run.faults]
     assert len(faults) == 400
     assert set(Counter(fault.kind for fault in faults).values()) == {16}

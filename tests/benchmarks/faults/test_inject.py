@@ -35,12 +35,6 @@ def test_what_no_fault_concerns_passes_byte_for_byte(way):
     assert through(way) == [(i * 100 * MS, frame(i)) for i in range(30)]
 
 
-def test_a_lost_frame_is_gone_and_counted():
-    way = Interference([fault(MessageFault.LOSS)])
-    assert [payload for _, payload in through(way)] == [frame(i) for i in (*range(10), *range(20, 30))]
-    assert way.harmed == [10]
-
-
 def test_a_fault_of_the_command_line_is_read_field_by_field():
     asked = inject.parse("delay,plan,3,4.5,0.25,6")
     assert (asked.harm, asked.key, asked.size, asked.seed) == (MessageFault.DELAY, "plan", 0.25, 6)

@@ -28,7 +28,7 @@ def test_the_first_row_of_a_point_is_that_of_the_nearest_boundary(ring: Array, a
     zones = pack_zones(fence_of(ring, keep_in=False))
     distance = nearest(zones, 0, *at)[0]
     assume(abs(distance) > 1e-6)
-    rows = rows_of(zones, np.array(at))
+    rows = rows_of(zones, np.array(at), reach=max(distance - 1.0, 0.0) + 0.5)  # hardly enough
     assert rows.zone[0, 0] == 0
     assert rows.slack[0, 0] == pytest.approx(distance - 1.0, abs=1e-9)
     assert np.hypot(*rows.normal[0, 0]) == pytest.approx(1.0)

@@ -11,21 +11,16 @@ from hypothesis import given, settings
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from ltv_mpc.geofence.fence import Disc, Fence, Polygon
+from ltv_mpc.geofence.fence import Fence, Polygon
 from ltv_mpc.geofence.route import SLACK_M, Router
 from ltv_mpc.geofence.zones import Zones, clearances, pack_zones
 from ltv_mpc.messages import Array
-from ltv_mpc.references import Place
 from tests.ltv_mpc.geofence import shapes
-from tests.ltv_mpc.geofence.shapes import point, rings
+from tests.ltv_mpc.geofence.shapes import disc, point, rings
 
 
 def polygon(*corners: tuple[float, float]) -> Polygon:
-    return Polygon(vertices=tuple(Place(north_m=north, east_m=east) for north, east in corners))
-
-
-def disc(north_m: float, east_m: float, radius_m: float) -> Disc:
-    return Disc(centre=Place(north_m=north_m, east_m=east_m), radius_m=radius_m)
+    return shapes.polygon(np.array(corners))
 
 
 def along(start: Array, way: Array) -> Array:

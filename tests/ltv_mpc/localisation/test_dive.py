@@ -45,6 +45,10 @@ def seen(made: Dive) -> list[BeamEnsemble]:
     return [to_beams(e) for e in reader.parse(made.data, source="test").ensembles]
 
 
+def tracked(ensembles: list[BeamEnsemble], parameters: DiveParameters = PARAMETERS, fixes: int = 10) -> Track:
+    return run(ensembles, noise_of(ensembles), parameters, fixes=fixes)
+
+
 def noise_of(ensembles: list[BeamEnsemble]) -> BeamNoise:
     return BeamNoise(ensembles, PARAMETERS.min_good_share)
 
@@ -66,20 +70,17 @@ def window(made: Dive, start_s: float, after_s: float = 300.0) -> tuple[int, int
     return start, int(np.searchsorted(made.t, made.t[start] + after_s))
 
 
-def errors(world: World, seed: int, starts_s: tuple[float, ...]) -> list[tuple[float, float, float]]:
-    """Return for each start: error (m), e P^-1 e, error of constant velocity (m), against the simulated truth."""
+def errors(world: World, seed: int, start_s: float, parameters: DiveParameters = PARAMETERS) -> tuple[float, ...]:
+    """Return the error (m), e P^-1 e, and the error of constant velocity (m), against the simulated truth."""
     made = dive(world, seed)
+    a, b = window(made, start_s)
     ensembles = seen(made)
-    beam_noise = noise_of(ensembles)
-    found = []
-    for start_s in starts_s:
-        a, b = window(made, start_s)
-        track = run(ensembles[a : b + 1], beam_noise, PARAMETERS, fixes=10)
-        true = made.position[b] - made.position[a]
-        error, P = track.position_m[-1] - true, track.position_covariance[-1]
-        held = np.mean([e.bottom_mps[:2] for e in ensembles[a : a + 10]], axis=0) * (made.t[b] - made.t[a])
-        found.append((math.hypot(*error), float(error @ np.linalg.solve(P, error)), math.hypot(*(held - true))))
-    return found
+    noise = noise_of(ensembles)
+    track = run(ensembles[a : b + 1], noise, parameters, fixes=10)
+    true = made.position[b] - made.position[a]
+    error, P = track.position_m[-1] - true, track.position_covariance[-1]
+    held = np.mean([e.bottom_mps[:2] for e in ensembles[a : a + 10]], axis=0) * (made.t[b] - made.t[a])
+    return math.hypot(*error), float(error @ np.linalg.solve(P, error)), math.hypot(*(held - true))
 
 
 def small_model() -> Model:
@@ -360,12 +361,11 @@ def test_a_trial_is_graded_at_its_end_by_three_sigma_about_the_mean_of_its_fixes
 
 
 def test_bottom_track_after_the_fixes_is_truth_and_never_reaches_the_filter() -> None:
-    made = dive(World(), 1, duration=120.0)
-    ensembles = seen(made)
+    ensembles = seen(dive(World(), 1, duration=120.0))
     beam_noise = noise_of(ensembles)
     track = run(ensembles, beam_noise, PARAMETERS, fixes=10)
     blind = [e if k < 10 else e._replace(bottom_mps=np.full(3, np.nan)) for k, e in enumerate(ensembles)]
-    other = run(blind, noise_of(blind), PARAMETERS, fixes=10)
+    other = tracked(blind)
     np.testing.assert_array_equal(track.position_m, other.position_m)
     np.testing.assert_array_equal(track.position_covariance, other.position_covariance)
     assert track.fixes == 10
@@ -375,8 +375,7 @@ def test_bottom_track_after_the_fixes_is_truth_and_never_reaches_the_filter() ->
 
 def test_without_bottom_track_there_is_a_track_that_says_how_little_it_knows() -> None:
     made = dive(World(), 2, duration=60.0)
-    ensembles = seen(made)
-    track = run(ensembles, noise_of(ensembles), PARAMETERS, fixes=0)
+    track = tracked(seen(made), fixes=0)
     assert track.fixes == 0
     assert np.isfinite(track.position_m).all()
     # nothing says how fast the water moves: its prior is the velocity's
@@ -384,24 +383,20 @@ def test_without_bottom_track_there_is_a_track_that_says_how_little_it_knows() -
     np.testing.assert_allclose(sd, PARAMETERS.water_mean_sd_mps * made.t[-1], rtol=0.1)
 
 
-def test_the_covariance_stays_symmetric_and_definite_and_the_profile_is_the_waters() -> None:
-    made = dive(World(water_change=0.0, outliers=0.0), 4)
-    ensembles = seen(made)
-    track = run(ensembles, noise_of(ensembles), PARAMETERS, fixes=10)
+def test_the_covariance_stays_symmetric_and_definite_and_the_water_has_a_share_in_common() -> None:
+    track = tracked(seen(dive(World(water_change=0.0, outliers=0.0), 4)))
     P = track.position_covariance
     np.testing.assert_allclose(P, P.transpose(0, 2, 1), rtol=1e-9)
     assert (np.linalg.eigvalsh(P[1:]) > 0).all()
     assert (np.diff(P[:, 0, 0] + P[:, 1, 1]) > -0.5).all()
-    # where the vehicle has been, the truth is what it says it moved by, less its motion through the water
     water = track.water
-    assert water.sd_mps.min() > 0
-    assert 0 <= water.sd_common_mps <= water.sd_mps.min()
+    assert 0 <= water.sd_common_mps <= water.sd_mps.min() > 0
     assert np.diff(water.depth_m).min() > 0
 
 
 def test_on_synthetic_dives_half_the_errors_are_below_six_metres_and_consistent() -> None:
     """Sea and instrument have the errors of the parameters' sources; no number here was fitted."""
-    found = np.array([row for seed in range(6) for row in errors(World(), seed, (27.0, 60.0, 110.0))])
+    found = np.array([errors(World(), seed, start_s) for seed in range(6) for start_s in (27.0, 60.0, 110.0)])
     error, normalised, held = found.T
     assert np.median(error) <= 6.0
     assert np.median(error) <= 0.6 * np.median(held)
@@ -422,25 +417,20 @@ def test_on_synthetic_dives_half_the_errors_are_below_six_metres_and_consistent(
     ids=["ringing", "mounted askew", "quick water", "internal wave", "beam coordinates"],
 )
 def test_in_other_seas_three_sigma_holds_and_constant_velocity_is_beaten(world: World) -> None:
-    found = np.array([row for seed in range(3) for row in errors(world, seed, (27.0, 70.0))])
-    error, normalised, held = found.T
+    error, normalised, held = np.transpose([errors(world, seed, start_s) for seed in range(2) for start_s in (27, 70)])
     assert (normalised <= 9.0).all()
     assert np.median(error) < 0.6 * np.median(held)
 
 
 def test_a_filter_that_believes_its_near_cells_goes_astray_where_they_err() -> None:
     """The same dives without states for the bias by range: these states are needed."""
-    believing = replace(PARAMETERS, near_bias_sd_mps=0.0, range_bias_sd_mps=0.0)
-    found = {name: [] for name in (PARAMETERS, believing)}
-    for seed in range(5):
-        made = dive(World(near_bias=0.01, towards_zero=0.15), seed)
-        ensembles = seen(made)
-        a, b = window(made, 40.0)
-        for parameters, rows in found.items():
-            track = run(ensembles[a : b + 1], noise_of(ensembles), parameters, fixes=10)
-            error = track.position_m[-1] - (made.position[b] - made.position[a])
-            rows.append((math.hypot(*error), error @ np.linalg.solve(track.position_covariance[-1], error)))
-    kept, astray = (np.array(rows) for rows in found.values())
+    believing, world = (
+        replace(PARAMETERS, near_bias_sd_mps=0.0, range_bias_sd_mps=0.0),
+        World(near_bias=0.01, towards_zero=0.15),
+    )
+    kept, astray = (
+        np.array([errors(world, seed, 40.0, parameters) for seed in range(5)]) for parameters in (PARAMETERS, believing)
+    )
     assert (kept[:, 1] <= 9.0).all()
     assert np.median(astray[:, 0]) > 1.5 * np.median(kept[:, 0])
     assert (astray[:, 1] > 9.0).sum() >= 2

@@ -78,12 +78,10 @@ def test_beams_that_look_down_point_where_the_projects_own_do(
 
 @pytest.mark.parametrize("head", [head for head in HEADS if head.coordinates == EARTH], ids=str)
 def test_the_beams_order_is_ahead_astern_starboard_port_whatever_the_head(head: Head) -> None:
-    """Water that moves away along a beam has a positive velocity."""
-    level = still(head, heading_deg=0)
-    u = one(head, level).direction
+    u = one(head, still(head, heading_deg=0)).direction
     s = math.sin(math.radians(head.beam_angle_deg))
     np.testing.assert_allclose(u[:, :2], [[s, 0], [-s, 0], [0, s], [0, -s]], atol=1e-9)
-    assert (u[:, 2] < 0).all() if head.upward else (u[:, 2] > 0).all()
+    assert ((u[:, 2] < 0) == head.upward).all()
 
 
 def test_by_hand_water_from_astern_and_the_bottom_below_a_vehicle_that_heads_east() -> None:
@@ -115,8 +113,7 @@ def test_earth_coordinates_in_the_file_are_east_north_up_relative_to_the_instrum
     data = bytearray(written(head, still(head, heading_deg=0)))
     at = bytes(data).index(struct.pack("<H", 0x0100), 6 + 2 * 5 + 59 + 60)
     struct.pack_into("<4h", data, at + 2, 300, -200, 100, 0)  # east, north, up, error in mm/s
-    struct.pack_into("<H", data, len(data) - 2, sum(data[:-2]) & 0xFFFF)
-    z = to_beams(parse(bytes(data)).ensembles[0]).velocity_mps[:, 0]
+    z = to_beams(parse(summed(data)).ensembles[0]).velocity_mps[:, 0]
     k = math.cos(math.radians(30))
     # away from a beam is along it; up is against every beam
     np.testing.assert_allclose(z, np.array([-0.1, 0.1, 0.15, -0.15]) - 0.1 * k, atol=1e-9)
@@ -234,11 +231,6 @@ def numbers(recording: reader.Recording) -> list[int]:
     return [e.number for e in recording.ensembles]
 
 
-def accounted(recording: reader.Recording, size: int) -> bool:
-    """Check that every byte belongs to an ensemble or is lost."""
-    return recording.lost_bytes + len(FRAMES[0]) * len(recording.ensembles) == size == recording.size
-
-
 @given(st.integers(0, len(FRAMES[2]) - 1), st.integers(1, 255))
 def test_one_changed_byte_costs_its_ensemble_and_no_other(place: int, change: int) -> None:
     data = bytearray(FILE)
@@ -248,16 +240,9 @@ def test_one_changed_byte_costs_its_ensemble_and_no_other(place: int, change: in
     assert numbers(recording) == [0, 1, 3, 4]
     (loss,) = recording.losses
     assert (loss.offset, loss.length) == (2 * len(FRAMES[0]), len(FRAMES[2]))
-    assert loss.why
-    assert accounted(recording, len(FILE))
-
-
-def test_a_wrong_checksum_is_said_with_both_sums() -> None:
-    data = bytearray(FILE)
-    data[len(FRAMES[0]) + 100] ^= 1
-    (loss,) = parse(bytes(data)).losses
-    stated = int.from_bytes(FRAMES[1][-2:], "little")
-    assert f"byte {len(FRAMES[0])} has checksum {stated:04X}, its bytes add up to" in loss.why
+    if place >= 4:  # neither the mark nor the length
+        assert f"byte {loss.offset} has checksum " in loss.why
+    assert recording.lost_bytes + len(FRAMES[0]) * len(recording.ensembles) == len(FILE) == recording.size
 
 
 @pytest.mark.parametrize("left", [1, 2, 5, 6, 7, 8, 100, len(FRAMES[0]) - 1])

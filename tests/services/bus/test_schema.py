@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 from typing import Any
 
@@ -19,73 +20,72 @@ PLAN = next(one for one in EXAMPLES if isinstance(one, Plan))
 ESTIMATES = [one for one in EXAMPLES if isinstance(one, Estimate)]
 
 
-def problems(value: Any, schema: dict[str, Any], at: str = "$") -> list[str]:
-    """Return the violations of ``schema`` by ``value``, for the keywords that the schemas use."""
-    if "anyOf" in schema:
-        found = [problems(value, one, at) for one in schema["anyOf"]]
-        return [] if [] in found else [problem for one in found for problem in one]
-    allowed = schema["type"] if isinstance(schema["type"], list) else [schema["type"]]
-    is_type = {
-        "null": value is None,
-        "boolean": isinstance(value, bool),
-        "integer": type(value) is int,
-        "number": type(value) in (int, float),
-        "string": isinstance(value, str),
-        "array": isinstance(value, list),
-        "object": isinstance(value, dict),
-    }
-    if not any(is_type[name] for name in allowed):
-        return [f"{at}: {value!r} is no {allowed}"]
-    if "enum" in schema and value not in schema["enum"]:
-        return [f"{at}: {value!r} not in {schema['enum']}"]
-    if is_type["number"] and not schema.get("minimum", value) <= value <= schema.get("maximum", value):
-        return [f"{at}: {value!r} is out of bounds"]
+TYPES: dict[str, Any] = {
+    "null": type(None),
+    "boolean": bool,
+    "integer": int,
+    "number": (int, float),
+    "string": str,
+    "array": list,
+    "object": dict,
+}
+
+
+def obeys(value: Any, described: schema.Schema) -> bool:
+    """Return True if a value obeys a schema, for the keywords that the schemas use."""
+    if "anyOf" in described:
+        return any(obeys(value, one) for one in described["anyOf"])
+    kinds = described["type"] if isinstance(described["type"], list) else [described["type"]]
+    if not any(isinstance(value, TYPES[kind]) and isinstance(value, bool) == (kind == "boolean") for kind in kinds):
+        return False
+    if isinstance(value, int | float) and not described.get("minimum", value) <= value <= described.get(
+        "maximum", value
+    ):
+        return False
     if isinstance(value, list):
-        if not schema.get("minItems", 0) <= len(value) <= schema.get("maxItems", len(value)):
-            return [f"{at}: {len(value)} items"]
-        return [p for i, x in enumerate(value) for p in problems(x, schema["items"], f"{at}[{i}]")]
+        fits = described.get("minItems", 0) <= len(value) <= described.get("maxItems", len(value))
+        return fits and all(obeys(one, described["items"]) for one in value)
     if isinstance(value, dict):
-        missing = [f"{at}.{name} is missing" for name in schema.get("required", ()) if name not in value]
-        return missing + [p for name, x in value.items() for p in problems_of_field(name, x, schema, at)]
-    return []
+        complete = set(described.get("required", ())) <= set(value)
+        return complete and all(field_obeys(name, one, described) for name, one in value.items())
+    return value in described.get("enum", [value])
 
 
-def problems_of_field(name: str, value: Any, schema: dict[str, Any], at: str) -> list[str]:
-    found = [schema["properties"][name]] if name in schema["properties"] else []
-    found += [s for pattern, s in schema.get("patternProperties", {}).items() if re.search(pattern, name)]
-    extra = schema.get("additionalProperties", True)
-    if not found and extra is False:
-        return [f"{at}.{name} is unknown"]
-    if not found and isinstance(extra, dict):
+def field_obeys(name: str, value: Any, described: schema.Schema) -> bool:
+    patterns = described.get("patternProperties", {})
+    found = [described["properties"][name]] if name in described["properties"] else []
+    found += [one for pattern, one in patterns.items() if re.search(pattern, name)]
+    if not found and isinstance(extra := described.get("additionalProperties", True), dict):
         found = [extra]
-    return [p for one in found for p in problems(value, one, f"{at}.{name}")]
+    elif not found:
+        return extra
+    return all(obeys(value, one) for one in found)
 
 
 @pytest.mark.parametrize("signal", EXAMPLES, ids=lambda signal: type(signal).__name__)
 def test_a_message_as_it_is_recorded_obeys_its_schema(signal: Message) -> None:
     recorded = msgspec.json.decode(msgspec.json.encode(wire.to_map(signal, HEADER)))
-    assert problems(recorded, msgspec.json.decode(schema.text(type(signal)))) == []
+    assert obeys(recorded, msgspec.json.decode(schema.text(type(signal))))
 
 
 @pytest.mark.parametrize(
-    ("change", "problem"),
+    "change",
     [
-        ({"origin": "guessed"}, "not in"),
-        ({"t_ns": [0.5, 1]}, "t_ns[0]"),
-        ({"states": [[None] * 6] * 2}, "states[0][0]"),
-        ({"thrust_N": [[1e7, 0, 0]] * 2}, "thrust_N[0][0]"),
-        ({"thrust_N": [1.0, 2.0]}, "thrust_N[0]"),
-        ({"reference_m": [1.0]}, "1 items"),
-        ({"cycle_t_ns": None}, "cycle_t_ns"),
-        ({"sequence": "0"}, "sequence"),
-        ({"thrust_kN": 1.0}, "unknown"),
+        {"origin": "guessed"},
+        {"t_ns": [0.5, 1]},
+        {"states": [[None] * 6] * 2},
+        {"thrust_N": [[1e7, 0, 0]] * 2},
+        {"thrust_N": [1.0, 2.0]},
+        {"reference_m": [1.0]},
+        {"cycle_t_ns": None},
+        {"sequence": "0"},
+        {"thrust_kN": 1.0},
     ],
 )
-def test_a_message_that_is_not_what_it_should_be_breaks_its_schema(change: dict[str, Any], problem: str) -> None:
-    message = wire.unpack(wire.encode(PLAN, HEADER)) | change
-    found = problems(message, schema.schema(Plan))
-    assert found
-    assert problem in found[0]
+def test_a_message_that_is_not_what_it_should_be_breaks_its_schema(change: dict[str, Any]) -> None:
+    message = wire.unpack(wire.encode(PLAN, HEADER))
+    assert obeys(message, schema.schema(Plan))
+    assert not obeys(message | change, schema.schema(Plan))
 
 
 @pytest.mark.parametrize("signal", [PLAN, ESTIMATES[1]], ids=lambda signal: type(signal).__name__)
@@ -94,12 +94,10 @@ def test_the_schema_makes_optional_what_the_decoder_does_not_need(signal: Messag
     message = wire.unpack(wire.encode(signal, HEADER))
     for name in list(message):
         rest = {k: v for k, v in message.items() if k != name}
-        try:
+        needed = name in schema.schema(kind)["required"]
+        assert obeys(rest, schema.schema(kind)) != needed
+        with pytest.raises(wire.WireError, match=name) if needed else contextlib.nullcontext():
             wire.from_map(kind, rest)
-        except wire.WireError:
-            assert problems(rest, schema.schema(kind)) == [f"$.{name} is missing"]
-        else:
-            assert problems(rest, schema.schema(kind)) == []
 
 
 def test_an_estimate_needs_time_position_heading_yaw_rate_and_velocity_alone() -> None:
@@ -123,8 +121,8 @@ def test_the_bounds_of_the_schema_are_those_of_the_door(signal: Message) -> None
     assert len(numbers) >= 12
     for name, bound, value in numbers:
         beyond = value + (1 if bound == "maximum" else -1) * max(1, abs(value) // 1000)
-        assert problems(message | {name: value}, schema.schema(kind)) == []
-        assert problems(message | {name: beyond}, schema.schema(kind)) != []
+        assert obeys(message | {name: value}, schema.schema(kind))
+        assert not obeys(message | {name: beyond}, schema.schema(kind))
         wire.from_map(kind, message | {name: value})
         with pytest.raises(wire.WireError, match=name):
             wire.from_map(kind, message | {name: beyond})

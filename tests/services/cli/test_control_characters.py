@@ -15,7 +15,7 @@ from rich.console import Console as RichConsole
 
 from ltv_mpc.errors import printable
 from services.cli.app import run
-from services.reporting.terminal import RunScreen
+from services.reporting.terminal import RunScreen, progress_bar
 from services.runtime.console import Console, PrintedStream
 from tests.services.reporting.test_terminal import CONTROLLER, FULL, LOCALISATION
 from tests.services.runtime.test_console import Terminal
@@ -100,6 +100,23 @@ def test_a_screen_shows_no_control_character_and_no_markup_of_a_message(plain, m
     for sequence in (*"\x07\x9b\x7f\u202e\u2066\ud800", "\x1b]", "\x1b[2J"):
         assert sequence not in out.getvalue()
     assert "[/x]" in out.getvalue()
+
+
+def test_a_bar_and_a_screen_draw_on_a_terminal_with_their_own_control_characters(monkeypatch) -> None:
+    """Rich puts a stream of its own in front of the one that escapes."""
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stderr", PrintedStream(terminal))
+    monkeypatch.setenv("TERM", "xterm")
+    for variable in ("NO_COLOR", "CI"):
+        monkeypatch.delenv(variable, raising=False)
+    with progress_bar("reading") as show:
+        show(0.5)
+    screen = RunScreen("a run", [])
+    screen.update(FULL)
+    screen.say("a note")
+    screen.close()
+    assert "\x1b[" in terminal.getvalue()
+    assert "u001b" not in terminal.getvalue()
 
 
 def test_a_process_that_fails_prints_no_control_character() -> None:

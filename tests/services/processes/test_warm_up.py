@@ -15,7 +15,7 @@ def compiled():
     return {
         (name, key): len(value.signatures)
         for name, module in list(sys.modules.items()) if name.startswith("ltv_mpc")
-        for key, value in vars(module).items() if hasattr(value, "nopython_signatures")
+        for key, value in vars(module).items() if isinstance(getattr(value, "signatures", None), list)
     }
 """
 

@@ -86,10 +86,11 @@ def test_a_join_for_which_there_is_no_room_leaves_every_segment_as_it_is(
 def test_a_full_disk_returns_what_it_cannot_store_and_the_next_segment_has_what_follows(path: Path) -> None:
     now_s = 0.0
     with opened(path, clock=lambda: now_s) as writer:
-        put(writer, 0)
-        writer.flush_if_due(now=True)
-        flushed = path.read_bytes()
         assert writer.segment is not None
+        writer.segment.flush_s = 0.0
+        put(writer, 0)
+        flushed = path.read_bytes()
+        writer.segment.flush_s = 1e9
         writer.segment.file.write(b"half of a chunk")
         writer.segment.file.flush()
         fill_up(writer)

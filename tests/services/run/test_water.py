@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,7 +13,6 @@ from ltv_mpc.currents import WaterPrior, read_prior, write_profile
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.filter.state import Belief
 from ltv_mpc.messages import CurrentProfile, Estimate, Message, Truth
-from ltv_mpc.node import Inbox, Node
 from services.cli.app import run
 from services.processes import estimator as process
 from services.recording.reader import Recording
@@ -45,31 +43,18 @@ class Visit(NamedTuple):
 
 def visit(here: RunConfig) -> Visit:
     """Run it without a recording, which would take most of the time."""
-    nodes = make_nodes(here)
-    said: dict[type[Message], Any] = {}
-    for node in nodes:
-        listen(node, said)
-    learned = EstimatedCurrent()
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(lockstep_run, "make_nodes", lambda _, **_every: nodes)
-        lockstep_run.simulate(here, None, None, lambda: False, learned)
+    nodes, learned, newest = make_nodes(here), EstimatedCurrent(), dict[type[Message], Any]()
+
+    def keep(message: Message) -> None:
+        newest[type(message)] = message
+
+    lockstep_run.simulate(here, None, None, lambda: False, learned, nodes=nodes, keep=keep)
     saved = learned.prior()
     (estimator,) = (node for node in nodes if isinstance(node, Estimator))
     assert saved is not None
     assert estimator.filter is not None
     estimator.filter.propagate_covariance()
-    return Visit(saved, said[Estimate], said[Truth], estimator.filter.belief)
-
-
-def listen(node: Node, said: dict[type[Message], Any]) -> None:
-    step = node.step
-
-    def listening(t_ns: int, inbox: Inbox) -> Sequence[Message]:
-        out = step(t_ns, inbox)
-        said.update((type(signal), signal) for signal in out)
-        return out
-
-    node.step = listening  # type: ignore[attr-defined]
+    return Visit(saved, newest[Estimate], newest[Truth], estimator.filter.belief)
 
 
 @pytest.fixture(scope="module")

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import heapq
 import random
+from bisect import bisect
 from collections.abc import Callable, Iterator
 
 import pytest
@@ -39,45 +39,24 @@ def exchanged(
 ) -> Iterator[int]:
     """Exchange messages for a minute, one every 0.1 s and a plan every 0.3 s, a tenth of both duplicated.
 
-    Yield the time of each event; ``theirs`` is the true clock of the other side.
-
-    Delays are drawn one by one, so that messages overtake each other; the report of a plan is in the next message.
+    Yield the arrival of each message; ``theirs`` is the true clock of the other side. Delays are drawn one by one, so
+    that messages overtake each other; the report of a plan is in the next message.
     """
     rng = random.Random(seed)
-    base_us = 3_600_000_000
-    events: list[tuple[int, int, Callable[[], None]]] = []
-    number, got = 0, [(-1, 0)]
 
-    def at(m_us: float, act: Callable[[], None]) -> None:
-        nonlocal number
-        number += 1
-        heapq.heappush(events, (round(m_us), number, act))
+    def arrivals(begin_us: int, period_us: int, delay: Delay) -> list[tuple[int, int]]:
+        sent = range(begin_us, begin_us + 60_000_000, period_us)
+        twice = [m_us for m_us in sent for _ in range(1 + (rng.random() < 0.1))]
+        return sorted((m_us + round(1e6 * delay(rng)), m_us) for m_us in twice)
 
-    def plan(m_us: int) -> None:
-        for _ in range(1 + (rng.random() < 0.1)):
-            arrives = round(m_us + 1e6 * out(rng))
-            at(arrives, lambda arrives=arrives: got.append((m_us, theirs(arrives))))
-
-    def message(m_us: int) -> None:
-        stamp, (sent_us, received_ns) = theirs(m_us), got[-1]
-
-        def come(arrived_us: int) -> None:
-            clock.add_stamp(stamp, arrived_us)
-            if reports and sent_us >= 0:
-                clock.add_receipt(received_ns, sent_us)
-
-        for _ in range(1 + (rng.random() < 0.1)):
-            arrives = round(m_us + 1e6 * back(rng))
-            at(arrives, lambda arrives=arrives: come(arrives))
-
-    for k in range(600):
-        at(base_us + k * 100_000, lambda k=k: message(base_us + k * 100_000))
-        if k % 3 == 0:
-            at(base_us + k * 100_000 + 6_000, lambda k=k: plan(base_us + k * 100_000 + 6_000))
-    while events:
-        m_us, _, act = heapq.heappop(events)
-        act()
-        yield m_us
+    hour_us = 3_600_000_000
+    plans = arrivals(hour_us + 6_000, 300_000, out)
+    for arrived_us, m_us in arrivals(hour_us, 100_000, back):
+        clock.add_stamp(theirs(m_us), arrived_us)
+        if reports and (received := bisect(plans, (m_us, m_us))):
+            plan_arrived_us, sent_us = plans[received - 1]
+            clock.add_receipt(theirs(plan_arrived_us), sent_us)
+        yield arrived_us
 
 
 @pytest.mark.parametrize(("offset_ns", "ppm"), [(YEARS_NS, 50.0), (BOOT_NS, -50.0)])

@@ -179,12 +179,13 @@ def test_two_publishers_may_have_clocks_of_their_own_and_plans_go_by_the_actuato
 def test_a_publisher_of_other_messages_has_the_clock_of_the_estimates(apart_s):
     """As one of obstacles; also after that clock has been set."""
     link, obstacles = Link({NAVIGATION: YEARS_NS + round(apart_s * 1e9), ACTUATORS: YEARS_NS}), 13
-    assert link.sync.shift_ns(obstacles, 0, NAVIGATION) == 0
+    link.sync.follow_source(NAVIGATION, 0)
+    assert link.sync.shift_ns(obstacles, 0) == 0
     for step_s in (0, 60):
         link.thetas[NAVIGATION] += step_s * 10**9
         link.run(10.0)
         now_ns = link.thetas[NAVIGATION] + link.m_us * 1000
-        error_ns = link.clock.read(link.m_us) - now_ns - link.sync.shift_ns(obstacles, link.m_us, NAVIGATION)
+        error_ns = link.clock.read(link.m_us) - now_ns - link.sync.shift_ns(obstacles, link.m_us)
         assert error_ns == pytest.approx(0, abs=10_000_000)
 
 

@@ -392,12 +392,12 @@ def test_without_a_clock_estimates_give_the_time_and_what_contradicts_it_is_reje
             if plans and answers:
                 out.publish(answer(*plans[-1], now_ns))
             time.sleep(0.05)
-            mode = runner.clock_sync.offset(monotonic_us()).mode
+            mode = runner._time.sync.offset(monotonic_us()).mode
             return mode == ("two-way" if answers else "one-way") and len(plans) >= 2
 
         until(lambda: said(answers=False))
         until(lambda: said(answers=True))
-        reading = runner.clock_sync.offset(monotonic_us())
+        reading = runner._time.sync.offset(monotonic_us())
         assert reading.error_ns is not None
         assert abs(reading.offset_ns - offset_ns) <= reading.error_ns
         said(answers=True, ahead_ns=3_600_000_000_000)

@@ -126,6 +126,7 @@ def test_a_child_belongs_to_the_supervisor_and_its_group_is_that_of_the_cleanup(
     child = started(crew, "plant", "sleeps")
     assert stat(child.pid)[1:3] == [str(os.getpid()), str(cleanup.group)]
     assert Path(f"/proc/{child.pid}/comm").read_text() == "ltv-plant\n"
+    assert ("forkserver.main()" in children_of(os.getpid())[child.pid]) == forked
     assert int(Path(f"/proc/{cleanup.group}/statm").read_text().split()[1]) * 4096 < 16e6
     child.kill()
     assert child.exit_code() == -signal.SIGKILL

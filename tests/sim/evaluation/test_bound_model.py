@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from msgspec.structs import replace
+from scipy.spatial.transform import Rotation
 
 from ltv_mpc.frames import GRAVITY_MPS2, earth_rate, rotation, rotation_exp
 from ltv_mpc.localisation.config import EstimatorConfig
@@ -48,7 +49,7 @@ def test_errors_grow_as_two_integrations_of_the_same_samples_part(turning, toler
     A vehicle that turns within the step is taken as one that has its mean attitude throughout: hence the tolerance.
     """
     suite = replace(REALISTIC, imu=replace(REALISTIC.imu, gyro_bias_tau_s=1e9, accelerometer_bias_tau_s=1e9))
-    W, dt, steps = earth_rate(suite.latitude_rad), 1 / 3, 1000
+    W, dt, steps = earth_rate(suite.latitude_rad), 1 / 3, 200
     p0, v0, R0 = np.zeros(3), np.array([0.3, -0.2, 0.1]), rotation(0.03, -0.02, 0.8)
     rate = R0.T @ W + turning * np.array([0.02, -0.01, 0.05])
     force = R0.T @ np.array([0.2, -0.1, -GRAVITY_MPS2 + 0.05])
@@ -65,15 +66,7 @@ def test_errors_grow_as_two_integrations_of_the_same_samples_part(turning, toler
         e = np.zeros(15)
         e[j] = 1e-5
         p2, v2, R2 = end(e)
-        difference = R2 @ R.T
-        phi = 0.5 * np.array(
-            [
-                difference[2, 1] - difference[1, 2],
-                difference[0, 2] - difference[2, 0],
-                difference[1, 0] - difference[0, 1],
-            ]
-        )
-        got = np.concatenate([p2 - p, v2 - v, phi]) / 1e-5
+        got = np.concatenate([p2 - p, v2 - v, Rotation.from_matrix(R2 @ R.T).as_rotvec()]) / 1e-5
         np.testing.assert_allclose(Phi[:9, j], got, atol=tolerance, err_msg=str(j))
 
 
@@ -166,12 +159,8 @@ def test_what_other_sensors_say_of_each_error_is_the_change_of_what_they_measure
         "compass": suite.compass.heading_sd_rad,
         "levelling": math.sqrt(white + config.afloat_acceleration_sd_mps2**2),
     }
-    rows = {
-        "gnss": model.gnss(now),
-        "pressure": model.pressure(now, 3),
-        "compass": model.compass(now),
-        "levelling": model.levelling(now),
-    }
+    rows = {"gnss": model.gnss(now), "pressure": model.pressure(now, 3)}
+    rows |= {"compass": model.compass(now), "levelling": model.levelling(now)}
     h = 1e-6
     for j in range(MOVING):
         e = np.zeros(model.size)

@@ -5,10 +5,11 @@ from __future__ import annotations
 import pytest
 
 from ltv_mpc.geofence.fence import Disc, Fence
-from ltv_mpc.messages import FenceInForce, Truth
+from ltv_mpc.messages import FenceInForce
 from ltv_mpc.references.geodesy import Place
 from ltv_mpc.vehicle.parameters import Vehicle
 from sim.evaluation.fence_distances import FenceDistances
+from tests.sim.worlds import S, truth
 
 PAPER = Vehicle.load("paper")
 HULL_M = PAPER.hull.radius_m if PAPER.hull else 0.0
@@ -26,17 +27,7 @@ def in_force(of: Fence | None) -> FenceInForce:
 def sail(distances: FenceDistances, seconds: range) -> None:
     """Move north at 1 m/s, from the origin at 0 s."""
     for second in seconds:
-        truth = Truth(
-            t_ns=second * 1_000_000_000,
-            position_m=(float(second), 0.0, 0.0),
-            velocity_mps=(1.0, 0.0, 0.0),
-            water_velocity_mps=(1.0, 0.0, 0.0),
-            attitude_rad=(0.0, 0.0, 0.0),
-            yaw_rate_radps=0.0,
-            current_mps=(0.0, 0.0),
-            thrust_N=(0.0, 0.0, 0.0),
-        )
-        distances.add_truth(truth)
+        distances.add_truth(truth(second * S, position_m=(float(second), 0.0, 0.0), velocity_mps=(1.0, 0.0, 0.0)))
 
 
 def test_a_fence_set_under_way_counts_from_then_on() -> None:

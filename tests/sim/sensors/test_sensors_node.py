@@ -30,9 +30,9 @@ from sim.scenario import Scenario
 from sim.sensors.node import Sensors
 from sim.sensors.vehicle_state import motion_between
 from sim.water import make
+from tests.sim.worlds import MS, S
 from tests.stepping import unpacked
 
-MS, S = 1_000_000, 1_000_000_000
 encode = msgspec.json.Encoder(enc_hook=to_wire).encode
 
 
@@ -156,12 +156,6 @@ def test_a_perfect_state_is_the_truth_with_the_true_profile_in_the_estimators_ce
         np.testing.assert_array_equal(x.current.east_mps, water.profile(0).east_mps)
         assert (x.current.sd_mps == 0).all()
     assert len(of(ImuSample, said)) == 300
-
-
-def test_without_perfect_state_the_node_publishes_no_estimate():
-    settings = scenario()
-    node = Sensors(settings, SensorConfig.load("paper"), make(settings.water, 0))
-    assert Estimate not in node.writes
 
 
 def test_a_truth_that_arrives_twice_is_measured_once():

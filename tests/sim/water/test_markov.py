@@ -44,6 +44,7 @@ def test_the_standard_deviation_is_that_of_the_cut_chain_at_every_depth(profiles
     measured = profiles.transpose(1, 0, 2).reshape(CELLS, -1).std(axis=1)
     np.testing.assert_allclose(measured, sd, rtol=4.5 / math.sqrt(2 * samples))
     assert profiles.std() == pytest.approx(sd, rel=0.015)
+    assert 2.9 * SD < np.abs(profiles).max() <= 3.0 * SD
     assert abs(profiles.mean()) < 4 * sd * math.sqrt(2 * LENGTH / (SEEDS * 2 * CELLS))
 
 
@@ -54,11 +55,6 @@ def test_depths_are_correlated_as_the_length_says(profiles, cells_apart):
     assert expected == pytest.approx(math.exp(-cells_apart / LENGTH), abs=0.02)
     upper, lower = profiles[:, :-cells_apart], profiles[:, cells_apart:]
     assert (upper * lower).mean() / (profiles**2).mean() == pytest.approx(expected, abs=0.02)
-
-
-def test_the_current_stays_within_its_bound_and_comes_near_it(profiles):
-    assert np.abs(profiles).max() <= 3.0 * SD
-    assert np.abs(profiles).max() > 2.9 * SD
 
 
 def test_a_bound_of_two_shrinks_the_standard_deviation_to_six_sevenths():

@@ -52,14 +52,3 @@ def test_no_drift_after_a_front_or_within_the_level_error():
     assert not followed(lambda t, turning: front(t, turning, ends_s=14.0)).is_drifting(LEVEL)
     assert not followed(front).is_drifting(5 * LEVEL)
     assert not followed(front, seconds=0.9).is_drifting(0.0)
-
-
-def test_a_copy_is_independent():
-    one = followed(front)
-    other = one.copy()
-    belief = Belief.blank(LAYOUT, round(30e9))
-    for k in range(30):
-        belief.t_ns += k * 10**8
-        other.add(belief, np.zeros(2))
-    assert one.is_drifting(LEVEL)
-    assert not other.is_drifting(LEVEL)

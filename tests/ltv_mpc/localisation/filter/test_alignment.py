@@ -51,10 +51,23 @@ def samples(first=1, count=21, bias=(0.0, 0.0, 0.0), t0=T0):
     return out
 
 
-def aligned(messages, suite=SUITE, config=CONFIG):
+AT_FIX = [fix(), compass(), depth()]
+
+
+def check_covariance(P):
+    np.testing.assert_allclose(P, P.T, atol=1e-18)
+    assert np.linalg.eigvalsh(P).min() > -1e-12  # the clone is the position itself
+
+
+def taken(messages, suite=SUITE, config=CONFIG):
     alignment = Alignment(suite, config)
     for message in messages:
         alignment.take(message)
+    return alignment
+
+
+def aligned(messages, suite=SUITE, config=CONFIG):
+    alignment = taken(messages, suite, config)
     assert not alignment.waiting_for
     return alignment.belief()
 
@@ -64,17 +77,13 @@ def test_missing_sensors_are_named():
     assert alignment.waiting_for == "gnss, compass, pressure"
     with pytest.raises(RuntimeError, match="waiting for gnss, compass, pressure"):
         alignment.belief()
-    for message in (fix(), compass(), depth()):
-        alignment.take(message)
-    assert alignment.waiting_for == "imu"
-    for message in samples():
-        alignment.take(message)
-    assert alignment.waiting_for == ""
+    assert taken(AT_FIX).waiting_for == "imu"
+    assert taken([*AT_FIX, *samples()]).waiting_for == ""
 
 
 def test_the_belief_has_the_time_of_the_fix_and_the_measured_values():
     """Without rotating the samples back to t0 the tilt error would be half of 0.2 s of rolling: 5 mrad."""
-    belief, since = aligned([fix(), compass(), depth(), *samples()])
+    belief, since = aligned([*AT_FIX, *samples()])
     assert belief.t_ns == belief.epoch_t_ns == T0
     np.testing.assert_array_equal(belief.x[:6], [3.0, -4.0, 0.25, 0.1, -0.2, 0.0])
     np.testing.assert_array_equal(belief.x[belief.layout.epoch], [3.0, -4.0])
@@ -87,7 +96,7 @@ def test_tilt_error_is_correlated_with_the_accelerometer_bias(axis):
     """The attitude error equals its conditional mean given the bias, P_phi,b P_bb^-1 b."""
     bias = np.zeros(3)
     bias[axis] = 0.01
-    belief, _ = aligned([fix(), compass(), depth(), *samples(bias=bias)])
+    belief, _ = aligned([*AT_FIX, *samples(bias=bias)])
     error = rotation_log(ATTITUDE_AT_T0 @ belief.R.T)
     P = belief.P
     expected = P[ATTITUDE, ACCELEROMETER_BIAS] @ np.linalg.solve(P[ACCELEROMETER_BIAS, ACCELEROMETER_BIAS], bias)
@@ -105,29 +114,46 @@ def test_heading_error_is_correlated_with_the_compass_bias():
 
 
 def test_deviations_are_those_of_the_sensors_file():
-    belief, _ = aligned([fix(), compass(), depth(), *samples()])
+    net = Lbl(
+        period_ns=10_000_000_000,
+        transponders_m=((0.0, 0.0, 50.0),),
+        sound_speed_mps=1480.0,
+        sound_speed_sd_mps=2.96,
+        range_sd_m=1.0,
+        missing_share=0.0,
+        outlier_share=0.0,
+        outlier_m=0.0,
+    )
+    turned = (0.1, -0.05, 0.785)
+    suite = msgspec.structs.replace(SUITE, lbl=net, adcp=msgspec.structs.replace(SUITE.adcp, mounting_rad=turned))
+    belief, _ = aligned([*AT_FIX, *samples()], suite)
     layout, P = belief.layout, belief.P
-    deviation = np.sqrt(np.diag(P))
-    np.testing.assert_allclose(deviation[:3], [5.0, 5.0, 0.01])
-    np.testing.assert_allclose(deviation[3:5], 0.02)
     white = SUITE.imu.velocity_random_walk_mps_per_rts / math.sqrt(0.21)
     tilt = math.hypot(SUITE.imu.accelerometer_bias_sd_mps2, white, CONFIG.afloat_acceleration_sd_mps2) / GRAVITY_MPS2
-    np.testing.assert_allclose(deviation[6:8], tilt)
-    assert deviation[8] == pytest.approx(math.radians(math.hypot(1, 2)))
-    np.testing.assert_allclose(deviation[GYRO_BIAS], SUITE.imu.gyro_bias_sd_radps)
-    np.testing.assert_allclose(deviation[ACCELEROMETER_BIAS], SUITE.imu.accelerometer_bias_sd_mps2)
-    np.testing.assert_allclose(deviation[layout.beam_bias], 0.005)
-    np.testing.assert_allclose(deviation[layout.near_bias], 0.015)
-    np.testing.assert_allclose(deviation[layout.mounting], math.radians(0.3))
-    np.testing.assert_allclose(deviation[layout.compass_bias], math.radians(2))
+    for states, sd in (
+        (slice(0, 3), [5.0, 5.0, 0.01]),
+        (slice(3, 5), 0.02),
+        (slice(6, 8), tilt),
+        (slice(8, 9), math.radians(math.hypot(1, 2))),
+        (GYRO_BIAS, SUITE.imu.gyro_bias_sd_radps),
+        (ACCELEROMETER_BIAS, SUITE.imu.accelerometer_bias_sd_mps2),
+        (layout.beam_bias, 0.005),
+        (layout.near_bias, 0.015),
+        (layout.mounting, math.radians(0.3)),
+        (layout.compass_bias, math.radians(2)),
+        (layout.sound_speed, 0.002),
+    ):
+        np.testing.assert_allclose(np.sqrt(np.diag(P))[states], sd)
     np.testing.assert_array_equal(P[layout.epoch], P[:2])
-    np.testing.assert_allclose(P, P.T, atol=1e-18)
-    assert np.linalg.eigvalsh(P).min() > -1e-12  # the clone is the position itself
+    np.testing.assert_allclose(belief.mounting, rotation(*turned))
+    check_covariance(P)
 
 
 def test_heading_and_depth_of_the_alignment_are_not_used_again():
+    """They are the first after the fix; one shortly before it is worse."""
     later = [compass(T0 + 100_000_000), depth(T0 + 100_000_000), depth(T0 + 150_000_000)]
-    messages = sorted([fix(), *later, *samples()], key=lambda m: m.t_ns)
+    before = msgspec.structs.replace(depth(T0 - 50_000_000), depth_m=0.75)
+    messages = sorted([fix(), before, *later, *samples()], key=lambda m: m.t_ns)
     belief, since = aligned(messages)
     assert belief.x[2] == 0.25
     assert not any(isinstance(m, CompassHeading) for m in since)
@@ -137,9 +163,7 @@ def test_heading_and_depth_of_the_alignment_are_not_used_again():
 def test_a_newer_fix_while_others_are_missing_starts_the_levelling_again():
     second = 1_000_000_000
     messages = [fix(), depth(), *samples(), fix(T0 + second, north=7.0), compass(T0 + second), depth(T0 + second)]
-    alignment = Alignment(SUITE, CONFIG)
-    for message in messages:
-        alignment.take(message)
+    alignment = taken(messages)
     assert alignment.waiting_for == "imu"
     for message in samples(first=101):
         alignment.take(message)
@@ -149,16 +173,13 @@ def test_a_newer_fix_while_others_are_missing_starts_the_levelling_again():
 
 
 def test_a_fix_grows_too_old_while_others_are_missing():
-    alignment = Alignment(SUITE, CONFIG)
-    for message in (fix(), depth(), *samples(count=600)):
-        alignment.take(message)
-    alignment.take(compass(T0 + 6_000_000_000))
-    assert alignment.waiting_for.startswith("gnss")
+    late = taken([fix(), depth(), *samples(count=600), compass(T0 + 6_000_000_000)])
+    assert late.waiting_for.startswith("gnss")
 
 
 def test_waves_make_the_level_less_certain_but_not_the_bias():
     rough = msgspec.structs.replace(CONFIG, afloat_acceleration_sd_mps2=0.5)
-    calm, wild = (aligned([fix(), compass(), depth(), *samples()], config=c)[0].P for c in (CONFIG, rough))
+    calm, wild = (aligned([*AT_FIX, *samples()], config=c)[0].P for c in (CONFIG, rough))
     assert wild[6, 6] > 100 * calm[6, 6]
     np.testing.assert_array_equal(wild[ATTITUDE, ACCELEROMETER_BIAS], calm[ATTITUDE, ACCELEROMETER_BIAS])
 
@@ -194,7 +215,7 @@ def test_position_and_velocity_errors_from_tilt_heading_and_gyro_bias_are_in_the
     """They equal their conditional means given the biases; the gyros' make the velocity error R (db x l)."""
     suite = mast()
     accelerometer, compass_bias = np.array([2e-3, -3e-3, 0.0]), 4e-3
-    messages = [fix(), compass(), depth(), *samples()]
+    messages = [*AT_FIX, *samples()]
     wrong = [fix(), compass(heading=2.2 + compass_bias), depth(), *samples(bias=accelerometer)]
     true, belief = aligned(messages, suite)[0], aligned(wrong, suite)[0]
     layout, P = belief.layout, belief.P
@@ -204,35 +225,14 @@ def test_position_and_velocity_errors_from_tilt_heading_and_gyro_bias_are_in_the
     assert np.abs(expected[:2]).min() > 5e-3
     by_gyros = belief.R @ np.cross(np.eye(3), suite.gnss.lever_arm_m).T * suite.imu.gyro_bias_sd_radps**2
     np.testing.assert_allclose(P[3:5, GYRO_BIAS], by_gyros[:2], rtol=1e-9)
-    np.testing.assert_array_equal(P, P.T)
-    assert np.linalg.eigvalsh(P).min() > -1e-12  # the clone is position and attitude themselves
-
-
-def test_sound_speed_and_mounting_start_as_the_sensors_file_has_them():
-    turned = (0.1, -0.05, 0.785)
-    net = Lbl(
-        period_ns=10_000_000_000,
-        transponders_m=((0.0, 0.0, 50.0),),
-        sound_speed_mps=1480.0,
-        sound_speed_sd_mps=2.96,
-        range_sd_m=1.0,
-        missing_share=0.0,
-        outlier_share=0.0,
-        outlier_m=0.0,
-    )
-    suite = msgspec.structs.replace(SUITE, lbl=net, adcp=msgspec.structs.replace(SUITE.adcp, mounting_rad=turned))
-    belief, _ = aligned([fix(), compass(), depth(), *samples()], suite)
-    at = belief.layout.sound_speed
-    assert at.stop - at.start == 1
-    np.testing.assert_allclose(belief.P[at, at], 0.002**2)
-    np.testing.assert_allclose(belief.mounting, rotation(*turned))
+    check_covariance(P)
 
 
 def test_a_fix_that_comes_late_finds_what_was_measured_since():
     """0.3 s late: alignment is immediate, at the time of the fix, with the same samples as for a fix in time."""
     late = [depth(), compass(), *samples(count=31), fix(), *samples(first=32, count=3)]
     belief, since = aligned(late[:34])
-    ordered, _ = aligned([fix(), compass(), depth(), *samples()])
+    ordered, _ = aligned([*AT_FIX, *samples()])
     assert belief.t_ns == T0
     np.testing.assert_array_equal(belief.R, ordered.R)
     np.testing.assert_array_equal(belief.P, ordered.P)
@@ -240,8 +240,8 @@ def test_a_fix_that_comes_late_finds_what_was_measured_since():
 
 
 def test_duplicate_messages_count_once():
-    once, _ = aligned([fix(), compass(), depth(), *samples()])
-    messages = sorted([fix(), compass(), depth(), *samples()] * 2, key=lambda m: m.t_ns)
+    once, _ = aligned([*AT_FIX, *samples()])
+    messages = sorted([*AT_FIX, *samples()] * 2, key=lambda m: m.t_ns)
     twice, since = aligned(messages)
     np.testing.assert_array_equal(twice.R, once.R)
     assert len(since) == 21
@@ -271,7 +271,4 @@ def test_a_message_from_the_future_does_not_keep_the_filter_from_starting():
 
 
 def test_without_an_inertial_unit_messages_do_not_pile_up():
-    alignment = Alignment(SUITE, CONFIG)
-    for k in range(6100):
-        alignment.take(depth(T0 + k))
-    assert len(alignment._messages) == 6000
+    assert len(taken(depth(T0 + k) for k in range(6100))._messages) == 6000

@@ -1,0 +1,46 @@
+"""True states written down by hand, and what the errors of a simulated sensor must be."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ltv_mpc import frames
+from ltv_mpc.messages import Truth
+from sim.sensors.vehicle_state import VehicleState
+
+MS, S = 1_000_000, 1_000_000_000
+S20, C20 = math.sin(math.radians(20)), math.cos(math.radians(20))
+AXES = np.array([[S20, 0, C20], [-S20, 0, C20], [0, S20, C20], [0, -S20, C20]])
+"""Directions of a profiler's four beams, in its own axes."""
+STILL = (0.0, 0.0, 0.0)
+
+
+def truth(t_ns: int = 0, **changes: Any) -> Truth:
+    """Return the truth of a vehicle at rest at the origin in still water, with changes."""
+    at_rest = {"position_m": STILL, "velocity_mps": STILL, "attitude_rad": STILL, "water_velocity_mps": STILL}
+    at_rest |= {"yaw_rate_radps": 0.0, "current_mps": (0.0, 0.0), "thrust_N": STILL}
+    return Truth(t_ns=t_ns, **(at_rest | changes))
+
+
+def instant(t_ns=0, *, attitude=STILL, position=(1.0, 2.0, 5.0), velocity=STILL, rate=STILL) -> VehicleState:
+    return VehicleState(t_ns, position, velocity, frames.rotation(*attitude), np.array(rate), 0.0)
+
+
+def check_white(errors, sd: float) -> None:
+    """Check errors in rows over time: mean zero, the given size, and no correlation in time or between columns."""
+    z = np.asarray(errors) / sd
+    assert abs(z.mean()) < 4.5 / math.sqrt(z.size)
+    assert (z**2).mean() == pytest.approx(1.0, abs=4.5 * math.sqrt(2 / z.size))
+    for axis in range(z.ndim):
+        product = np.delete(z, 0, axis) * np.delete(z, -1, axis)
+        if product.size:
+            assert abs(product.mean()) < 4.5 / math.sqrt(product.size)
+
+
+def check_share(found, share: float) -> None:
+    found = np.asarray(found)
+    assert found.mean() == pytest.approx(share, abs=4.5 * math.sqrt(share / found.size))
