@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from functools import partial
+from typing import Any
 from unicodedata import category
 
 MAX_VALUE_LENGTH = 60
@@ -33,6 +35,10 @@ class ConfigError(ValueError):
         what = "" if value is None else format_value(value)
         where = " = ".join(x for x in (field, what) if x)
         super().__init__(one_line(": ".join(x for x in (source, where, problem) if x)))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return what another process makes the error of."""
+        return partial(type(self), value=self.value), (self.source, self.field, self.problem)
 
 
 def format_value(value: object) -> str:
