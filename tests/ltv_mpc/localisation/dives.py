@@ -227,8 +227,10 @@ class Run:
 
     @property
     def estimates(self) -> dict[int, Estimate]:
-        """Estimates by time."""
-        return {estimate.t_ns: estimate for estimate in self.of(Estimate)}
+        """Estimates by time. None is published twice, or after a later one."""
+        by_time = {estimate.t_ns: estimate for estimate in self.of(Estimate)}
+        assert sorted(by_time) == [estimate.t_ns for estimate in self.of(Estimate)]
+        return by_time
 
     @property
     def reports(self) -> dict[int, LocalisationReport]:

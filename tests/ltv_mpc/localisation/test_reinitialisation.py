@@ -69,6 +69,8 @@ def test_reinitialisation_needs_ten_bad_seconds_in_a_row():
     assert watched((30, GOOD), (60, BAD))[1] == 31 + MAX_INCONSISTENT_NS // S
     assert watched((30, GOOD), (39, BAD), (40, GOOD), (60, BAD))[1] == 41 + MAX_INCONSISTENT_NS // S
     assert watched((30, GOOD), (40, BAD), (60, GOOD))[1] is None
+    bad, _ = watched((30, GOOD), (35, BAD))
+    assert (bad.is_inconsistent, bad.fork().is_inconsistent) == (True, False)
 
 
 @pytest.mark.parametrize("spoil", ["position", "covariance", "variance", "innovations"])

@@ -433,7 +433,7 @@ def test_a_run_without_stderr_completes(tmp_path: Path) -> None:
 def test_a_killed_supervisor_leaves_no_orphan_and_the_recorder_completes_its_file(
     launcher: tuple[subprocess.Popen[bytes], Path],
 ) -> None:
-    """One child is stopped, so that it cannot end itself (for one that holds the GIL: test_parent_death)."""
+    """One child is stopped, so that it cannot end itself (for one that holds the GIL: test_forkserver)."""
     process, out = launcher
     pids = children_of(process.pid)
     os.kill(pid_of("estimator", process.pid), signal.SIGSTOP)

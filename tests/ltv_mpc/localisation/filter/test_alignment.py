@@ -150,8 +150,10 @@ def test_deviations_are_those_of_the_sensors_file():
 
 
 def test_heading_and_depth_of_the_alignment_are_not_used_again():
+    """They are the first after the fix; one shortly before it is worse."""
     later = [compass(T0 + 100_000_000), depth(T0 + 100_000_000), depth(T0 + 150_000_000)]
-    messages = sorted([fix(), *later, *samples()], key=lambda m: m.t_ns)
+    before = msgspec.structs.replace(depth(T0 - 50_000_000), depth_m=0.75)
+    messages = sorted([fix(), before, *later, *samples()], key=lambda m: m.t_ns)
     belief, since = aligned(messages)
     assert belief.x[2] == 0.25
     assert not any(isinstance(m, CompassHeading) for m in since)
