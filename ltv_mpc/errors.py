@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-from functools import partial
-from typing import Any
 from unicodedata import category
 
 MAX_VALUE_LENGTH = 60
@@ -27,7 +25,7 @@ class ConfigError(ValueError):
     value : the invalid value; None if there is none to show.
     """
 
-    def __init__(self, source: str, field: str, problem: str, *, value: object = None) -> None:
+    def __init__(self, source: str, field: str, problem: str, value: object = None) -> None:
         self.source = source
         self.field = field
         self.value = value
@@ -36,9 +34,9 @@ class ConfigError(ValueError):
         where = " = ".join(x for x in (field, what) if x)
         super().__init__(one_line(": ".join(x for x in (source, where, problem) if x)))
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         """Return what another process makes the error of."""
-        return partial(type(self), value=self.value), (self.source, self.field, self.problem)
+        return type(self), (self.source, self.field, self.problem, self.value)
 
 
 def format_value(value: object) -> str:

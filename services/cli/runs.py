@@ -115,14 +115,14 @@ def replay(
     from services.run import folder
 
     made = nodes.Run(folder.find(run))
-    with run_progress_bar(*made.nodes.span_ns) as progress:
-        if with_ is None:
-            verdict = nodes.replay(made, only=node, progress=progress)
-        else:
-            would = nodes.what_if(made, with_, only=node, progress=progress)
+    bar = run_progress_bar(*made.nodes.span_ns)
     if with_ is not None:
+        with bar as progress:
+            would = nodes.what_if(made, with_, only=node, progress=progress)
         show(would, lambda: replay_text.what_if_text(would), as_json=as_json)
         return 0
+    with bar as progress:
+        verdict = nodes.replay(made, only=node, progress=progress)
     show(verdict, lambda: replay_text.text(verdict), as_json=as_json)
     return 0 if verdict.identical else 1
 
