@@ -55,7 +55,10 @@ def read(path: Path, source: str) -> dict[str, Any] | None:
     home, stops = READERS[kind](config.read_text(path, what="reference"), source)
     if not stops:
         raise ConfigError(source, "", "has no path and no point")
-    return reference_table(stops, home or _origin(stops[0].place.latitude_deg, stops[0].place.longitude_deg))
+    try:
+        return reference_table(stops, home or _origin(stops[0].place.latitude_deg, stops[0].place.longitude_deg))
+    except ValueError as error:
+        raise ConfigError(source, "", str(error)) from None
 
 
 Content = tuple[Origin | None, list[Stop]]
@@ -135,6 +138,8 @@ def _plan(text: str, source: str) -> Content:
                 raise ValueError(f"item {number} has {len(parameters)} of 7 parameters")
             items.append(Item(number, int(entry["command"]), int(entry["frame"]), parameters[:4], *parameters[4:]))
         cruise_mps = float(mission.get("cruiseSpeed", MAX_SPEED_MPS))  # type: ignore[union-attr]
+    except ConfigError:
+        raise
     except (AttributeError, TypeError, KeyError, ValueError, OverflowError) as error:
         raise ConfigError(source, "mission", f"is not that of a plan: {error}") from None
     return _mission(items, cruise_mps, source)
