@@ -48,8 +48,6 @@ def read(path: Path, source: str) -> dict[str, Any] | None:
         If the file cannot be read, or holds what cannot be followed.
     """
     kind = path.suffix.lower()
-    if kind in (".kml", ".kmz"):
-        raise ConfigError(source, "", f"is KML: convert it, as with ogr2ogr {path.stem}.geojson {path.name}")
     if kind not in READERS:
         return None
     home, stops = READERS[kind](config.read_text(path, what="reference"), source)
