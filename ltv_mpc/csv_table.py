@@ -77,9 +77,8 @@ def read_table(
     for name in needed:
         if name not in names:
             all_names = " or ".join(", ".join(one) for one in alternatives)
-            known = (meanings or {}).get(
-                name
-            ) or f"; the header must name {all_names}, separated by commas, semicolons or tabs"
+            names_wanted = f"; the header must name {all_names}, separated by commas, semicolons or tabs"
+            known = (meanings or {}).get(name) or names_wanted
             raise ConfigError(source, f"line {line}", f"missing column {name}{known}")
     used = dict.fromkeys([*needed, *(name for name in optional if name in names)])
     for name in used:
