@@ -17,6 +17,7 @@ from ltv_mpc.control.fence_clearance import (
     entry_s,
     fence_cost,
     is_near,
+    surplus_m,
 )
 from ltv_mpc.control.problem_data import pack_constants, unpack_constants
 from ltv_mpc.control.resolution import settled
@@ -107,6 +108,15 @@ def test_the_table_has_the_least_of_all_its_points(seed: int) -> None:
     np.testing.assert_allclose(table[near, 1], free[0, near])
     np.testing.assert_allclose(table[near, 2], surplus.min(axis=0)[near])
     np.testing.assert_array_equal(table[:, 3], (surplus < -0.01).sum(axis=0))
+
+
+def test_in_a_zone_the_surplus_is_that_over_the_half_plane_of_its_exit() -> None:
+    exits = np.zeros((3, 4))
+    exits[1] = 1.0, 0.8, -0.6, 2.0
+    of = scene(exits=exits)
+    for north_m, east_m in np.random.default_rng(0).uniform(-3.0, 3.0, (10, 2)):
+        beyond_m = 0.8 * north_m - 0.6 * east_m - 2.0 - of.need[1]
+        assert surplus_m(of, 1, north_m, east_m, 0.0) == pytest.approx(beyond_m)
 
 
 @pytest.mark.parametrize(("within", "near"), [(0.9, True), (1.1, False)])

@@ -12,10 +12,13 @@ from ltv_mpc import Controller, ControllerConfig, Fence, Obstacle, Obstacles
 from ltv_mpc.control.config import MotionLimits
 from ltv_mpc.control.fencing import Fencing
 from ltv_mpc.control.nominal_model import advance
+from ltv_mpc.control.ocp.limits import ROWS
+from ltv_mpc.control.ocp.problem import Problem
 from ltv_mpc.control.prediction import Prediction
 from ltv_mpc.control.scaling import characteristic_scales
 from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.control.solvers import Solver, make
+from ltv_mpc.control.solvers.recorder import RecordingSolver
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.geofence.fence import Disc, Polygon
 from ltv_mpc.geofence.obstacles import MAX_AGE_NS
@@ -115,6 +118,24 @@ def test_a_vehicle_inside_a_zone_leaves_it_by_the_nearest_exit() -> None:
 
 
 FAR_DISC = disc(1000.0, 0.0, 3.0)
+
+
+def test_a_cycle_has_two_qps_and_a_third_after_a_step_into_a_zone() -> None:
+    rows: list[int] = []
+
+    class Counting(RecordingSolver):
+        def build(self, problem: Problem) -> None:
+            rows.append(problem.sizes[3] - ROWS)
+            super().build(problem)
+
+    of = Controller(CRAFT, Point(north_m=GOAL[0], east_m=GOAL[1]), make_solver=lambda *of: Counting(make(*of)))
+    of.set_fence(FAR_DISC)
+    of.plan(drifting())  # the first cycle with a fence has rows in any case
+    for fence, expected in ((FAR_DISC, [0, 0]), (disc(5.0, 0.0, 2.0), [0, 3, 3])):
+        of.set_fence(fence)
+        rows.clear()
+        of.plan(msgspec.structs.replace(drifting(), t_ns=300_000_000))
+        assert rows == expected
 
 
 def test_the_first_cycle_with_a_fence_sets_up_the_solver_of_its_rows() -> None:

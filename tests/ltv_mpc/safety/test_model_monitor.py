@@ -399,6 +399,20 @@ def test_moments_that_a_data_sheet_may_lack_are_weak_evidence():
 # --- weak thruster ---
 
 
+def test_a_thruster_is_weak_until_it_recovers_and_the_alarm_lasts_as_long():
+    sea = Sea()
+    sea.sail(6.0)
+    sea.share[:] = 0.4, 1.0
+    sea.sail(20.0)
+    assert sea.monitor.alarm
+    assert sea.monitor.weak_thruster.shares == pytest.approx((0.4, 1.0))
+    sea.share[:] = 1.0
+    sea.sail(3.0)
+    assert sea.monitor.weak_thruster.shares == (1.0, 1.0)
+    sea.sail(0.3 * QUIET_CYCLES + 0.6)
+    assert not sea.monitor.alarm
+
+
 def test_thrusters_that_both_lost_thrust_raise_the_alarm_and_keep_their_box():
     sea = Sea()
     sea.sail(6.0)

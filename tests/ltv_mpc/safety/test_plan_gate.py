@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from ltv_mpc.messages import Plan
 from ltv_mpc.safety.plan_gate import PlanGate, PlanVerdict
+from ltv_mpc.safety.source_selector import MAX_CANDIDATES
 from ltv_mpc.vehicle.parameters import Vehicle
 from tests.ltv_mpc.plans import plan_of as plan
 
@@ -247,6 +248,21 @@ def test_a_plan_outside_box_or_slew_is_rejected_and_nothing_changes(thrust, verd
         commands(gate, S, 2 * S)
         assert gate.command_at(2 * S) == (20.0, 20.0, 20.0)
         assert gate.offer(constant(2 * S, 20.0, 20.0, 20.0), 1, 1, 2 * S) is PlanVerdict.ACCEPTED
+
+
+def test_the_memory_of_commanders_is_bounded():
+    gate = PlanGate(VEHICLE)
+    for epoch in range(1000):
+        at = epoch * 10 * S
+        assert gate.offer(constant(at, 0.0, 0.0, 0.0), epoch, 5, at) is PlanVerdict.ACCEPTED
+    assert len(gate._last_sequence) == MAX_CANDIDATES
+
+
+def test_what_rounding_adds_to_a_plan_does_not_reach_the_command():
+    gate = PlanGate(VEHICLE)
+    gate.command_at(0)
+    gate.offer(constant(0, 62.5 + 1e-7, -62.5 - 1e-7, 62.5), 1, 0, 0)
+    assert commands(gate, 0, S)[-1].tolist() == [62.5, -62.5, 62.5]
 
 
 thrusts = st.lists(st.tuples(*[st.floats(-70, 70)] * 3), min_size=2, max_size=6)

@@ -75,6 +75,15 @@ def test_whitened_rows_have_independent_noise_of_unit_variance():
     np.testing.assert_allclose(through @ through.T, np.eye(n), atol=1e-12)
 
 
+@pytest.mark.parametrize("loss", [(0.5, 0.0), (0.0, 0.5), (0.5, 0.5)], ids=["port", "starboard", "both"])
+def test_a_loss_of_one_thruster_is_attributed_to_it_alone(loss):
+    rng = np.random.default_rng(5)
+    rows = cycles(rng, 9, (0.0, 0.0, 0.0), loss=loss)
+    _, *found = evaluate(rows, products_of(cycles(rng, 200, (0.0, 0.0, 0.0))))
+    np.testing.assert_allclose(found, loss, atol=0.1)
+    assert [share == 0.0 for share in found] == [share == 0.0 for share in loss]
+
+
 def test_one_outlier_is_no_evidence():
     rng = np.random.default_rng(9)
     rows = cycles(rng, 10, (0.0, 0.0, 0.0))
