@@ -228,6 +228,7 @@ def with_overrides(scenario: Scenario, assignments: Sequence[str], *, source: st
     for an unknown key it names the most similar known one.
     """
     kinds = {key: kind for key, kind in settings_schema.scalar_fields(Scenario).items() if key != "made_by"}
+    table = msgspec.to_builtins(scenario)
     for assignment in assignments:
         key, equals, text = (part.strip() for part in assignment.partition("="))
         if not equals:
@@ -236,11 +237,9 @@ def with_overrides(scenario: Scenario, assignments: Sequence[str], *, source: st
             inside = [name for name in kinds if name.startswith(f"{key}.")]
             problem = f"is a table: set one of {', '.join(inside)}" if inside else f"unknown key{_near(key, kinds)}"
             raise ConfigError(source, format_value(key), problem)
-        table = msgspec.to_builtins(scenario)
         *outer, last = key.split(".")
         reduce(getitem, outer, table)[last] = _value(text, kinds[key], key, source)
-        scenario = config.parse(table, Scenario, source=source)
-    return scenario
+    return config.parse(table, Scenario, source=source)
 
 
 def _near(key: str, known: Iterable[str]) -> str:

@@ -25,7 +25,7 @@ from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.nominal_model import advance
 from ltv_mpc.geofence.fence import Fence
 from ltv_mpc.geofence.zones import clearances, pack_zones
-from ltv_mpc.messages import Array, CurrentProfile, Estimate, FenceInForce, Plan
+from ltv_mpc.messages import Array, CurrentProfile, Estimate, FenceInForce, Pair, Plan
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.reporting.plots import catalogue, fence
 
@@ -73,7 +73,8 @@ def fly(example: str) -> Flown:
         velocity_east_mps=WATER_MPS[0],
         current=CurrentProfile(depth_m=at, north_mps=north, east_mps=east),
     )
-    track, shown, plan = [], None, controller.plan(estimate)
+    track: list[Pair] = []
+    shown, plan = None, controller.plan(estimate)
     while len(track) < MAX_CYCLES and (plan.progress or 0.0) < 1.0:
         plan = controller.plan(estimate)
         track.append((estimate.north_m, estimate.east_m))

@@ -35,7 +35,7 @@ class _Planner(LateralPlanner):
         return super()._run_solver(problem, shift, last=last)
 
 
-controller.LateralPlanner = _Planner  # type: ignore[misc]
+controller.LateralPlanner = _Planner  # type: ignore[attr-defined]
 
 
 class Peer:

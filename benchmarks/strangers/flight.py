@@ -128,8 +128,11 @@ class Pilot(Protocol):
     cycle_steps: int
     delay_steps: int
     """From the start of a cycle to the arrival of its plan."""
-    nominal: bool
-    """False if its last plan reported trouble."""
+
+    @property
+    def nominal(self) -> bool:
+        """False if its last plan reported trouble."""
+        ...
 
     def plan(self, estimate: Estimate, t_ns: int, applied: Applied | None) -> tuple[npt.NDArray[np.int64], Array]:
         """Return knots (N,) in ns, and the thrusts (N, 2) of port and starboard at them."""

@@ -10,8 +10,9 @@ import numpy as np
 
 from benchmarks.strangers.flight import Conditions, Flight, Ours, Pilot, Start, fly, load
 from benchmarks.strangers.rival import Rival
-from ltv_mpc.messages import Applied, Array, Estimate, Pair
-from ltv_mpc.references import Line, Place, Point, Reference, Waypoints
+from ltv_mpc.messages import Applied, Array, Estimate, Pair, Times
+from ltv_mpc.references import Line, Point, Reference, Waypoints
+from ltv_mpc.references.shapes import Waypoint
 
 Corners: TypeAlias = tuple[Pair, ...]
 """One point, or the corners of a path."""
@@ -79,7 +80,7 @@ def speed_mps(name: str) -> float:
 
 def reference(corners: Corners, speed_mps: float) -> Reference:
     """Return a target as a reference of the controller."""
-    places = tuple(Place(north_m=north, east_m=east) for north, east in corners)
+    places = tuple(Waypoint(north_m=north, east_m=east) for north, east in corners)
     if len(corners) == 1:
         return Point(north_m=corners[0][0], east_m=corners[0][1])
     if len(corners) == 2:
@@ -98,7 +99,7 @@ class _Changing:
     def nominal(self) -> bool:
         return self._pilot.nominal
 
-    def plan(self, estimate: Estimate, t_ns: int, applied: Applied | None) -> tuple[Array, Array]:
+    def plan(self, estimate: Estimate, t_ns: int, applied: Applied | None) -> tuple[Times, Array]:
         while self._later and t_ns * 1e-9 >= self._later[0][0]:
             corners = self._later.pop(0)[1]
             if isinstance(self._pilot, Ours):

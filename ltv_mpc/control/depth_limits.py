@@ -36,7 +36,7 @@ from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array, Estimate, Plan
 from ltv_mpc.references.follower import Follower
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
-from ltv_mpc.vehicle.resistance import steady_speed
+from ltv_mpc.vehicle.resistance import UNBRAKED_MPS, steady_speed
 
 MIN_RATE_RADPS = 0.01
 """Smallest rate l: of a vehicle that cannot brake."""
@@ -68,7 +68,8 @@ class DepthLimits:
         self._seen_m = self._max_depth_m  # largest depth above the bottom that was seen last
         self.bathymetry: Bathymetry | None = None
         """Soundings of the bottom, if there are any."""
-        self._climb_mps, self._ahead_s = CLIMB_SHARE * ascent_speed_mps(vehicle), np.zeros(0)
+        self._climb_mps = CLIMB_SHARE * min(ascent_speed_mps(vehicle), UNBRAKED_MPS)
+        self._ahead_s = np.zeros(0)
         min_depth_m = -math.inf if limits.min_depth_m is None else limits.min_depth_m
         self.bounds = np.array([min_depth_m, self._max_depth_m, min(max_rate_radps, braking_rate_radps(vehicle))])
         """(3,) least and largest depth (m), infinite where there is none, and rate l (rad/s)."""

@@ -122,11 +122,11 @@ def _waypoints(text: str, source: str) -> Content:
 
 def _plan(text: str, source: str) -> Content:
     """Read a QGroundControl plan."""
-    mission = config.parse_json(text, source).get("mission")
+    mission = config.parse_json(text, source).get("mission") or {}
     try:
-        latitude, longitude = map(float, mission["plannedHomePosition"][:2])  # type: ignore[index]
+        latitude, longitude = map(float, mission["plannedHomePosition"][:2])
         items = [Item(0, WAYPOINT, 0, (0.0,) * 4, latitude, longitude, 0.0)]
-        for k, entry in enumerate(mission["items"], start=1):  # type: ignore[index]
+        for k, entry in enumerate(mission["items"], start=1):
             number = int(entry.get("doJumpId", k))
             if entry["type"] != "SimpleItem":
                 name = entry.get("complexItemType", entry["type"])
@@ -135,7 +135,7 @@ def _plan(text: str, source: str) -> Content:
             if len(parameters) != 7:
                 raise ValueError(f"item {number} has {len(parameters)} of 7 parameters")
             items.append(Item(number, int(entry["command"]), int(entry["frame"]), parameters[:4], *parameters[4:]))
-        cruise_mps = float(mission.get("cruiseSpeed", MAX_SPEED_MPS))  # type: ignore[union-attr]
+        cruise_mps = float(mission.get("cruiseSpeed", MAX_SPEED_MPS))
     except ConfigError:
         raise
     except (AttributeError, TypeError, KeyError, ValueError, OverflowError) as error:

@@ -29,6 +29,14 @@ def test_an_assignment_changes_its_key_and_nothing_else() -> None:
     assert with_overrides(after, back) == before
 
 
+def test_the_order_of_assignments_does_not_matter() -> None:
+    both = ["controller.ages.degraded_s=12", "controller.ages.hold_s=15"]  # 12 alone contradicts the default of hold_s
+    for assignments in (both, both[::-1]):
+        assert with_overrides(Scenario.load("descent"), assignments).controller.ages.hold_s == 15.0
+    with pytest.raises(ConfigError, match=r"ages: hold_s = 10: must be >= degraded_s = 12"):
+        with_overrides(Scenario.load("descent"), both[:1])
+
+
 def test_the_paper_s_cases_have_its_delays_and_its_cost() -> None:
     none, short, long = (Scenario.load(f"paper-{name}") for name in ("no-control", "2.5s", "5s"))
     assert not none.controller.lateral

@@ -125,6 +125,15 @@ def test_where_the_chart_ends_the_bottom_track_remains() -> None:
     assert blind.depth_limit_m is None
 
 
+def test_the_chart_counts_for_a_file_without_damping_of_heave() -> None:
+    """No ascent has a steady speed then."""
+    assert PAPER.heave is not None
+    heave = msgspec.structs.replace(PAPER.heave, linear_damping_kgps=0.0, quadratic_damping_kgpm=0.0)
+    here, chart = Point(north_m=0.0, east_m=0.0, depth_m=30.0), ground(((-100.0, 24.0), (100.0, 24.0)))
+    of = controller(here, chart, msgspec.structs.replace(PAPER, heave=heave))
+    assert of.plan(Estimate.at_rest(depth_m=20.9)).depth_limit_m == pytest.approx(24.0 - LEAST_M)
+
+
 def test_a_vehicle_that_cannot_rise_does_not_descend_into_what_is_ahead() -> None:
     """Its thruster has no thrust up, and its buoyancy is zero."""
     assert PAPER.thruster.vertical is not None

@@ -162,7 +162,7 @@ ELSEWHERE = "50.2 -5 0"
         ("m.waypoints", mission("3 16 0 0 0 0 50.2 -5"), "line 3 = "),
         ("m.waypoints", mission(), "has no path and no point"),
         ("m.plan", "{", "is not a JSON object"),
-        ("m.plan", "{}", "mission: is not that of a plan"),
+        ("m.plan", "{}", "mission: is not that of a plan: 'plannedHomePosition'"),
         ("m.plan", plan({"type": "ComplexItem", "complexItemType": "survey"}), "item 1: survey cannot be followed"),
         ("m.geojson", '{"type": "LineString", "coordinates": [[-5, 50], [-5, 52]]}', "latitude_deg = 52"),
         ("m.geojson", '{"type": "FeatureCollection", "features": []}', "they hold 0"),
