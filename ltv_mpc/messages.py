@@ -19,6 +19,7 @@ list[list[Force]]})`` is a matrix of forces. ``None`` in such a list is a missin
 from __future__ import annotations
 
 import enum
+from pathlib import Path
 from typing import Annotated, TypeAlias
 
 import msgspec
@@ -313,6 +314,18 @@ class CurrentProfile(Message, frozen=True, kw_only=True, eq=False):
     """velocity of the water over ground at each depth, east"""
     sd_mps: SpeedDeviations | None = None
     """standard deviation of either component at each depth"""
+
+    @classmethod
+    def load(cls, path: str | Path) -> CurrentProfile:
+        """Read a profile from a CSV file. Raises ``ConfigError``.
+
+        Parameters
+        ----------
+        path : of the file, which ``ltv_mpc/currents.py`` describes.
+        """
+        from ltv_mpc.currents import read_profile
+
+        return read_profile(path)
 
 
 class Estimate(Message, frozen=True, kw_only=True, eq=False):

@@ -71,6 +71,7 @@ def test_what_is_written_is_read_back_bit_for_bit(tmp_path):
     path = tmp_path / "c.csv"
     for written, reader in (
         (plain, read_profile),
+        (plain, CurrentProfile.load),
         (with_sd, read_profile),
         (prior, read_profile),  # the file of a prior is a profile too
         (prior, read_prior),
