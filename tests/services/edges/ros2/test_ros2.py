@@ -246,7 +246,7 @@ def test_what_no_vehicle_can_do_becomes_no_estimate(fields: dict[str, Any]) -> N
         ("ros2 --topic port=/t --topic starboard=/t", "used for several rows"),
         ("ros2 --array port,left", "must be names of port"),
         ("ros2 --scale 0", "must be a number other than 0"),
-        ("ros2 --middleware fastdds", "must be ros2dds or rmw_zenoh"),
+        ("ros2 --middleware fastdds", "must be one of ros2dds, rmw_zenoh"),
         ("ros2 --ros-namespace a//b", "must be names joined by /"),
     ],
 )
