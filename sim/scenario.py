@@ -14,7 +14,6 @@ import msgspec
 from msgspec import Meta
 
 from ltv_mpc import config, settings_schema
-from ltv_mpc.control import config as control
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.errors import ConfigError, format_value
 from ltv_mpc.localisation.config import EstimatorConfig
@@ -219,7 +218,6 @@ def checked(scenario: Scenario, *, source: str) -> Scenario:
         if not 1 <= deepest_m / cell_m <= most:
             problem = f"must be <= deepest_m = {deepest_m:g}, and at least {deepest_m / most:g}: at most {most} cells"
             raise ConfigError(source, f"[{table}] cell_m", problem, value=cell_m)
-    control.validate(scenario.controller, source=source, table=("controller",))
     return scenario
 
 

@@ -1,6 +1,6 @@
 """Robustness table: cases of a wrong file and an unkind sea by laws.
 
-python -m benchmarks.robustness [--quick] [--cases TEXT ...] [--vehicles NAME ...] [--out DIR] [--write]
+python -m benchmarks.robustness [--cases TEXT ...] [--vehicles NAME ...] [--out DIR] [--write]
 python -m benchmarks.robustness --tune     tune the rivals of the vehicles again: gains.toml
 
 A case is KEY=VALUE pairs, "mass=1.3 drag=0.7"; cases.py has the keys. Rivals of a vehicle without gains are tuned
@@ -14,17 +14,14 @@ import tempfile
 from pathlib import Path
 
 from benchmarks.robustness import flights, page, tuning
-from benchmarks.robustness.cases import CASES, QUICK, parsed
+from benchmarks.robustness.cases import CASES, parsed
 from benchmarks.robustness.laws import LAWS
 from benchmarks.strangers.flight import FOREIGN, SHIPPED
-
-QUICK_VEHICLES = ("light_boat", "bluerobotics-boat", "paper")
 
 
 def main() -> None:
     """Fly and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help=f"{len(QUICK)} cases and three vehicles")
     parser.add_argument("--cases", nargs="+", help="cases of your own or of the table, each in quotes")
     parser.add_argument(
         "--vehicles", nargs="+", choices=(*FOREIGN, *SHIPPED), help="default: two hulls and all shipped"
@@ -36,11 +33,11 @@ def main() -> None:
     parser.add_argument("--write", action="store_true", help=f"write {page.PAGE}")
     parser.add_argument("--tune", action="store_true", help="tune the rivals instead")
     options = parser.parse_args()
-    vehicles = options.vehicles or (QUICK_VEHICLES if options.quick else page.VEHICLES)
+    vehicles = options.vehicles or page.VEHICLES
     if options.tune:
         tuning.tune(vehicles, options.jobs)
         return
-    cases = options.cases or (QUICK if options.quick else CASES)
+    cases = options.cases or CASES
     try:
         for case in cases:
             parsed(case)

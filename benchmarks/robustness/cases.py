@@ -43,10 +43,6 @@ CASES = (
     "lag_s=0.3 dead_time_s=0.2",
     "drag=0.7 arm=0.7 dead_zone=0.05 waves_V=0.1 ahead_m=0.15 noise_m=0.1",
 )  # fmt: skip
-QUICK = (
-    RIGHT, "mass=2", "drag=0.5", "thrust=0.7", "lag_s=0.3", "dead_time_s=0.3", "wind=0.1", "noise_m=0.3",
-    "dead_zone=0.05", "waves_V=0.15", "mass=2 drag=0.5 arm=0.7", "mass=1.3 drag=0.7 thrust=0.8",
-)  # fmt: skip
 
 
 def parsed(case: str) -> dict[str, float]:

@@ -11,7 +11,6 @@ from msgspec import Meta
 
 from ltv_mpc import config
 from ltv_mpc.control import shooting_grid
-from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Array, SourceName
 from ltv_mpc.node import DEFAULT_SOURCE
 from ltv_mpc.safety.health import Ages
@@ -199,8 +198,7 @@ class ControllerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
         ----------
         path : of the file, with a suffix or a slash.
         """
-        settings = config.load(path, cls, what="controller settings", package=None)
-        return validate(settings, source=f"controller settings {path}")
+        return config.load(path, cls, what="controller settings", package=None)
 
     @property
     def period_ns(self) -> int:
@@ -232,24 +230,3 @@ class ResolvedConfig(ControllerConfig, frozen=True, kw_only=True, forbid_unknown
     @property
     def _reach(self) -> int:
         return max(1, round(self.horizon_s * 1e9 / STAGE_NS))
-
-
-def validate(settings: ControllerConfig, *, source: str, table: tuple[str, ...] = ()) -> ControllerConfig:
-    """Check the relations between fields that no vehicle is needed for, and return the settings.
-
-    Parameters
-    ----------
-    settings : each field is within its own bounds.
-    source : file or option that an error names.
-    table : names of the tables that hold the settings in that file.
-
-    Raises
-    ------
-    ConfigError : two fields contradict each other.
-    """
-    contradiction = settings.ages.problem()
-    if contradiction is not None:
-        name, problem = contradiction
-        place = config.toml_key((*table, "ages", name))
-        raise ConfigError(source, place, problem, value=getattr(settings.ages, name))
-    return settings

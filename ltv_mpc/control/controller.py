@@ -578,7 +578,7 @@ class Controller:
         ramps begin at the commands in force, or at zero if these are not available.
         """
         self._lateral.discard_solvers()
-        self._lateral.previous.clear()
+        self._lateral.previous.plan = None
         delay_ns = self._delay.expected_ns
         knots = now_ns + delay_ns + self._knots_ns
         command = np.zeros(3)

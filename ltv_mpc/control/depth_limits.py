@@ -11,7 +11,16 @@ at -l), so that the vehicle comes to rest at the limit without overshoot:
 
 From a steady speed w the vehicle begins to slow down at a distance of 2 w / l. The rate l is that of the depth law, or
 smaller if the thruster brakes weakly. Where the limits contradict each other, the lower one is kept: the bottom is
-harder than the surface. With a bathymetry the bottom ahead counts, too (``bottom_ahead.py``); the shallower one counts.
+harder than the surface.
+
+With a bathymetry the bottom ahead counts, too, and the shallower one counts. With the bottom b_i at the place where the
+vehicle is t_i from now at the earliest, it is so deep at most that it can rise in time:
+
+    z <= b_i + w_up max(t_i - T, 0),    T = 6 / l
+
+w_up is half the speed of an ascent at full thrust. The depth lags by 2 w_up / l behind a limit that rises at w_up, and
+by 0.02 w_up / l at T after the limit has come to rest. The places are those of the previous plan, and the path of the
+reference or the straight line to its point. Unknown places do not count.
 """
 
 from __future__ import annotations
@@ -21,16 +30,25 @@ import math
 import numpy as np
 
 from ltv_mpc.bathymetry import Bathymetry, least_altitude_m
-from ltv_mpc.control.bottom_ahead import BottomAhead
 from ltv_mpc.control.config import MotionLimits
 from ltv_mpc.control.prediction import Start
 from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array, Estimate, Plan
 from ltv_mpc.references.follower import Follower
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
+from ltv_mpc.vehicle.resistance import steady_speed
 
 MIN_RATE_RADPS = 0.01
 """Smallest rate l: of a vehicle that cannot brake."""
+
+SETTLING = 6.0
+"""T l: the lag 2 w_up / l has shrunk to (2 + 6) exp(-6) w_up / l."""
+
+CLIMB_SHARE = 0.5
+"""w_up over the speed of an ascent at full thrust: the rest is for a wrong buoyancy and for a faster approach."""
+
+PLACES, MAX_AHEAD_S = 100, 600.0
+"""Number of places on the reference, and largest time until the vehicle is at the last one."""
 
 
 class DepthLimits:
@@ -48,10 +66,9 @@ class DepthLimits:
         self._max_depth_m = math.inf if limits.max_depth_m is None else limits.max_depth_m
         self._limits = limits
         self._seen_m = self._max_depth_m  # largest depth above the bottom that was seen last
-        self._ahead: BottomAhead | None = None
         self.bathymetry: Bathymetry | None = None
         """Soundings of the bottom, if there are any."""
-        self._ascent_mps = ascent_speed_mps(vehicle)
+        self._climb_mps, self._ahead_s = CLIMB_SHARE * ascent_speed_mps(vehicle), np.zeros(0)
         min_depth_m = -math.inf if limits.min_depth_m is None else limits.min_depth_m
         self.bounds = np.array([min_depth_m, self._max_depth_m, min(max_rate_radps, braking_rate_radps(vehicle))])
         """(3,) least and largest depth (m), infinite where there is none, and rate l (rad/s)."""
@@ -98,18 +115,39 @@ class DepthLimits:
         """
         least_altitude_m(self._limits)
         self.bathymetry = bathymetry
-        self._ahead = BottomAhead(bathymetry, self._ascent_mps, float(self.bounds[2]))
+        # as long as the vehicle needs from the deepest to the shallowest sounding
+        ahead_s = self._settling_s + bathymetry.relief_m / max(self._climb_mps, 1e-6)
+        self._ahead_s = np.linspace(0.0, min(ahead_s, MAX_AHEAD_S), PLACES)
+
+    @property
+    def _settling_s(self) -> float:
+        return SETTLING / float(self.bounds[2])
 
     def look_ahead(self, start: Start, previous: Plan | None, follower: Follower | None) -> None:
-        """Take in the bottom of the bathymetry, if there is one.
+        """Take in the bottom of the bathymetry where the vehicle is and will be, if there is one.
 
         Parameters
         ----------
-        start, previous, follower : as ``BottomAhead.bottom_m`` takes them.
+        start : the vehicle at the plan's start.
+        previous : plan of the cycle before.
+        follower : of the reference, if it is followed.
         """
-        if self._ahead is not None:
-            bottom_m = self._ahead.bottom_m(start, previous, follower)
-            self.bounds[1] = min(self._seen_m, bottom_m - least_altitude_m(self._limits))
+        if self.bathymetry is None:
+            return
+        places: list[Array] = [start.lateral[None, :2]]
+        seconds: list[Array] = [np.zeros(1)]
+        if previous is not None:
+            places.append(previous.states[:, :2])
+            seconds.append(np.asarray((previous.t_ns - start.t_ns) * 1e-9, dtype=np.float64))
+        current = start.current_north_mps, start.current_east_mps
+        ahead = None if follower is None else follower.places_ahead(start.lateral, current, self._ahead_s)
+        if ahead is not None:
+            places.append(ahead)
+            seconds.append(self._ahead_s)
+        climb_m = self._climb_mps * np.maximum(np.concatenate(seconds) - self._settling_s, 0.0)
+        # fmin passes over NaN, where the bottom is not known.
+        bottom_m = float(np.fmin.reduce(self.bathymetry.depths(np.concatenate(places)) + climb_m, initial=math.inf))
+        self.bounds[1] = min(self._seen_m, bottom_m - least_altitude_m(self._limits))
 
 
 def braking_rate_radps(vehicle: Vehicle) -> float:
@@ -129,8 +167,8 @@ def braking_rate_radps(vehicle: Vehicle) -> float:
         (thruster.max_N - vehicle.net_buoyancy_N, vehicle.net_buoyancy_N - thruster.min_N),  # down
         (vehicle.net_buoyancy_N - thruster.min_N, thruster.max_N - vehicle.net_buoyancy_N),  # up
     ):
-        speed_mps = _steady_speed_mps(drive_N, heave.linear_damping_kgps, heave.quadratic_damping_kgpm)
-        if speed_mps > 0.0:
+        if drive_N > 0.0:
+            speed_mps = steady_speed(drive_N, heave.linear_damping_kgps, heave.quadratic_damping_kgpm)
             rate = min(rate, brake_N / heave.mass_kg / speed_mps)
     return max(rate, MIN_RATE_RADPS)
 
@@ -144,16 +182,8 @@ def ascent_speed_mps(vehicle: Vehicle) -> float:
     """
     if vehicle.heave is None:
         return 0.0
-    up_N = vehicle.net_buoyancy_N - vehicle.thrusters[2].min_N
-    return _steady_speed_mps(up_N, vehicle.heave.linear_damping_kgps, vehicle.heave.quadratic_damping_kgpm)
-
-
-def _steady_speed_mps(force_N: float, linear_kgps: float, quadratic_kgpm: float) -> float:
-    """Return the speed at which the drag balances a force: the root of D w^2 + d w = F."""
-    if force_N <= 0.0:
-        return 0.0
-    root = math.sqrt(linear_kgps * linear_kgps + 4.0 * quadratic_kgpm * force_N)
-    return 2.0 * force_N / (linear_kgps + root) if root > 0.0 else math.inf
+    up_N, heave = vehicle.net_buoyancy_N - vehicle.thrusters[2].min_N, vehicle.heave
+    return steady_speed(up_N, heave.linear_damping_kgps, heave.quadratic_damping_kgpm) if up_N > 0.0 else 0.0
 
 
 @jit

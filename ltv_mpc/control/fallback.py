@@ -99,10 +99,6 @@ class PreviousPlan:
         same_knots = np.array_equal(plan.t_ns - plan.t_ns[0], self.knots_ns)
         self.plan = plan if same_knots else None
 
-    def clear(self) -> None:
-        """Begin the next cycle from no plan."""
-        self.plan = None
-
     def lateral_commands(self, start_ns: int) -> tuple[float, Array]:
         """Return the lateral commands of a plan that came from a solve.
 

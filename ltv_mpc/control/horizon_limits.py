@@ -93,22 +93,6 @@ class HorizonLimits:
         reach = knots[1:, None] * self.max_change
         return np.minimum(self.low, start + reach), np.maximum(self.high, start - reach)
 
-    def clip(self, commands: Array, knots: Array) -> Array:
-        """Return commands that obey box and slew exactly: ``clip_to_limits`` clips one knot after another.
-
-        Parameters
-        ----------
-        commands : (N+1, 2) at the knots (N); the first is in force and stays.
-        knots : (N+1,) in first stages.
-
-        Returns
-        -------
-        (N+1, 2) commands (N).
-        """
-        out = commands.copy()
-        clip_to_limits(out, knots, self.low, self.high, self.max_change)
-        return out
-
 
 @jit
 def command_bounds(start: float, reach: float, low: float, high: float) -> tuple[float, float]:

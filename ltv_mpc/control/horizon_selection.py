@@ -12,7 +12,7 @@ from ltv_mpc.control.config import STAGE_NS, ResolvedConfig, Weights
 from ltv_mpc.control.margins import FULL_SHARE, SHARES, Loop
 from ltv_mpc.control.scaling import characteristic_scales, default_weights
 from ltv_mpc.vehicle.parameters import Vehicle
-from ltv_mpc.vehicle.performance import Performance, performance
+from ltv_mpc.vehicle.performance import performance
 
 MIN_HORIZON_S, MAX_HORIZON_S = 3.0, 60.0
 """Bounds of the proposed horizon."""
@@ -102,8 +102,10 @@ def proposed_horizon_s(vehicle: Vehicle, weights: Weights) -> float:
     can, both = performance(vehicle), 0.0
     if can.turn_90deg_s is not None:
         both = can.turn_90deg_s + (can.stopping_time_s or 0.0)
-        if _weak_astern(can):
-            both += 0.5 * math.pi / _slower_rate(can)
+        ahead, astern = can.top_speed_ahead_mps, can.top_speed_astern_mps
+        if ahead is not None and astern is not None and astern < WEAK_ASTERN_RATIO * ahead:
+            rates = can.turning_rate_starboard_radps, can.turning_rate_port_radps
+            both += 0.5 * math.pi / min(abs(rate) for rate in rates if rate)
     horizon_s = _whole(max(MIN_TIME_SCALES * characteristic_scales(vehicle).time_s, both))
     while horizon_s < MAX_HORIZON_S:
         config = ResolvedConfig(weights=weights, horizon_s=horizon_s)
@@ -117,15 +119,3 @@ def _whole(horizon_s: float) -> float:
     """Round a horizon up to whole stages, within its bounds."""
     stage = STAGE_NS * 1e-9
     return round(math.ceil(min(max(horizon_s, MIN_HORIZON_S), MAX_HORIZON_S) / stage - 1e-9) * stage, 1)
-
-
-def _weak_astern(can: Performance) -> bool:
-    """Return True if the top speed astern is much lower than that ahead."""
-    ahead, astern = can.top_speed_ahead_mps, can.top_speed_astern_mps
-    return ahead is not None and astern is not None and astern < WEAK_ASTERN_RATIO * ahead
-
-
-def _slower_rate(can: Performance) -> float:
-    """Return the turning rate (rad/s) to the slower side."""
-    rates = (can.turning_rate_starboard_radps, can.turning_rate_port_radps)
-    return min(abs(rate) for rate in rates if rate)

@@ -28,7 +28,7 @@ from ltv_mpc.control.initial_guess import steering_guess
 from ltv_mpc.control.linearisation import Linearisation, linearise_along, propagate
 from ltv_mpc.control.ocp.assembly import cost
 from ltv_mpc.control.ocp.cycle import UNKNOWN, Cycle, Score
-from ltv_mpc.control.problem_data import unpack_constants
+from ltv_mpc.control.problem_data import bow_first, unpack_constants
 from ltv_mpc.control.terminal_check import check_terminal
 from ltv_mpc.jit import copy_to, jit
 from ltv_mpc.messages import Array
@@ -129,7 +129,7 @@ def choose_nominal(cycle: Cycle, start: Array, old: Array, stages: float, *, was
         shooting_grid.shift(goal, cycle.knots, stages)
         linearise(cycle, goal)
         kind, best = PREVIOUS_PLAN, _score(cycle, lin.X, lin.U)
-    for other_kind in (STEERED_AHEAD,) if cycle.bow_first else (STEERED_AHEAD, STEERED_ASTERN):
+    for other_kind in (STEERED_AHEAD,) if bow_first(cycle.packed) else (STEERED_AHEAD, STEERED_ASTERN):
         X, U = np.empty_like(lin.X), np.empty_like(lin.U)
         steering_guess(cycle.packed, start, cycle.target, other_kind == STEERED_ASTERN, lin.C, X, U)
         other = _score(cycle, X, U, math.inf if best.stuck else best.cost + best.fence)

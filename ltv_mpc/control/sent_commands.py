@@ -132,17 +132,6 @@ class SentCommands:
         """
         return commands_at(*self.knots, t_ns)
 
-    def between(self, from_ns: int, until_ns: int) -> Times:
-        """Return both times and the knots between them: the commands are linear between neighbours.
-
-        Parameters
-        ----------
-        from_ns, until_ns : vehicle times (ns).
-        """
-        t, _ = self.knots
-        inner = t[(t > from_ns) & (t < until_ns)]
-        return np.concatenate([[from_ns], inner, [until_ns]]).astype(np.int64)
-
 
 @jit
 def command_at(t: Times, thrust: Array, at: int, i: int) -> float:

@@ -57,18 +57,6 @@ class CommandResult(NamedTuple):
     why: str = ""
 
 
-def next_authority(authority: Authority, action: Action) -> CommandResult:
-    """Return the state after a command; it does not change if the command is rejected.
-
-    Parameters
-    ----------
-    authority : present state.
-    action : requested action.
-    """
-    after = NEXT[action].get(authority)
-    return CommandResult(authority, REJECTED[action]) if after is None else CommandResult(after)
-
-
 class ThrustOverride(NamedTuple):
     """Thrusts that replace those of the controller."""
 
@@ -111,12 +99,12 @@ class CommandArbiter:
         ----------
         action : requested action.
         """
-        before = self.authority
-        result = next_authority(before, action)
-        self.authority = result.authority
-        if result.authority is not before:
-            self._manual = None  # a request from before the pilot had the thrusters has no effect
-        return result
+        after = NEXT[action].get(self.authority)
+        if after is None:
+            return CommandResult(self.authority, REJECTED[action])
+        if after is not self.authority:
+            self.authority, self._manual = after, None  # what a pilot asked for before he had them has no effect
+        return CommandResult(after)
 
     def receive_manual(self, thrust_N: Triple, received_ns: int) -> None:
         """Store the thrusts that a pilot requests, unless one of them is outside the box.

@@ -87,13 +87,12 @@ class Ages(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     hold_growth_m: Annotated[float, Meta(gt=0, le=1000)] = 0.5
     failsafe_s: Annotated[float, Meta(gt=0, le=60)] = 20.0
 
-    def problem(self) -> tuple[str, str] | None:
-        """Return the field and the bound it violates if the thresholds are not in order, else None."""
+    def __post_init__(self) -> None:
+        """Reject thresholds that are not in order."""
         if self.hold_s < self.degraded_s:
-            return "hold_s", f"must be >= degraded_s = {self.degraded_s:g}"
+            raise ValueError(f"hold_s = {self.hold_s:g}: must be >= degraded_s = {self.degraded_s:g}")
         if self.failsafe_s < self.hold_s:
-            return "failsafe_s", f"must be >= hold_s = {self.hold_s:g}"
-        return None
+            raise ValueError(f"failsafe_s = {self.failsafe_s:g}: must be >= hold_s = {self.hold_s:g}")
 
 
 DEFAULT_AGES = Ages()

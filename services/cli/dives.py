@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import itertools
 from pathlib import Path
 from typing import Annotated
 
@@ -63,11 +62,8 @@ def plan_(
     wanted.run_config()
     recorded = None if against is None else report.recorded_drift(Recording(folder.find(against)))
     written = None if out is None else folder.open_folder(out, force=force)
-    total, done = plan.count_of_results(numbers, runs), itertools.count(1)
     with progress_bar(f"dives with {sensors} sensors") as progress:
-        result = plan.plan(
-            wanted, fixes=numbers, runs=runs, limit_m=limit_m, progress=lambda _: progress(next(done) / total)
-        )
+        result = plan.plan(wanted, fixes=numbers, runs=runs, limit_m=limit_m, progress=progress)
     result = msgspec.structs.replace(result, against=recorded)
     plain = show(result, lambda: report.text(result), as_json=as_json)
     if written is not None:

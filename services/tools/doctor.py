@@ -204,17 +204,13 @@ def installed(name: str) -> str | None:
 
 def within(version: str, bounds: str) -> bool:
     """Return True if version ``1.1.3`` meets ``<1.2,>=1.1``; an unknown comparison is ignored."""
-    for relation, bound in re.findall(r"(>=|<)([\d.]+)", bounds):
-        if (_numbers(version) >= _numbers(bound)) is not (relation == ">="):
-            return False
-    return True
+    asked = re.findall(r"(>=|<)([\d.]+)", bounds)
+    return all((_numbers(version) >= _numbers(bound)) is (relation == ">=") for relation, bound in asked)
 
 
 def _numbers(version: str) -> list[int]:
-    numbers = [int(part) for part in re.match(r"[\d.]*", version)[0].split(".") if part]  # type: ignore[index]
-    while numbers and not numbers[-1]:  # 1.0 is 1
-        numbers.pop()
-    return numbers
+    released = re.match(r"[\d.]*", version)[0]  # type: ignore[index]
+    return [*map(int, re.findall(r"\d+", released)), 0, 0, 0, 0][:4]  # 1.0 is 1
 
 
 def folder_of(package: str) -> Path | None:

@@ -50,7 +50,12 @@ def run(
     vehicle time (ns). Raises ``NotStored``.
     """
     if folder is None:
-        return simulate(run_config, None, progress, stop)
+        return simulate(run_config, progress=progress, stop=stop)
+    learned = EstimatedCurrent()
+
+    def learn(message: Message) -> None:
+        if isinstance(message, Estimate):
+            learned.update(message)
 
     def stop_or_deleted() -> bool:
         if folder.deleted:
@@ -58,10 +63,10 @@ def run(
         return stop()
 
     metadata = {"mode": LOCKSTEP, "seed": str(run_config.scenario.run.seed), **run_config.files}
-    start_ns, learned = run_config.scenario.start_ns, EstimatedCurrent()
+    start_ns = run_config.scenario.start_ns
     with RunWriter(folder.recording, start_ns=start_ns, metadata=metadata, flush_s=None) as writer:
         try:
-            summary = simulate(run_config, writer, progress, stop_or_deleted, learned)
+            summary = simulate(run_config, writer, progress=progress, stop=stop_or_deleted, keep=learn)
             writer.close()
             folder.write_result(summary, learned.prior())
         except NotStored:
@@ -75,22 +80,20 @@ def run(
 
 def simulate(
     run_config: RunConfig,
-    writer: RunWriter | None,
-    progress: Callable[[int], None] | None,
-    stop: Callable[[], bool],
-    learned: EstimatedCurrent | None = None,
+    writer: RunWriter | None = None,
     *,
+    progress: Callable[[int], None] | None = None,
+    stop: Callable[[], bool] = lambda: False,
     nodes: Sequence[Node] | None = None,
     keep: Callable[[Message], None] | None = None,
 ) -> Summary:
     """Run all nodes in lock step without a folder.
 
-    ``writer`` records, ``learned`` collects the estimated current, ``keep`` is called with each message, ``nodes``
-    replace those of the configuration.
+    ``writer`` records, ``keep`` is called with each message, ``nodes`` replace those of the configuration.
     """
     _freeze_existing_objects()
     scenario = run_config.scenario
-    log = _Log(RunMetrics(run_config.vehicle, fence=run_config.fence), writer, learned, keep)
+    log = _Log(RunMetrics(run_config.vehicle, fence=run_config.fence), writer, keep)
     recorded = writer is not None
     lockstep = LockStep(
         nodes or make_nodes(run_config, publish_unread_topics=recorded),
@@ -134,18 +137,10 @@ def _freeze_existing_objects() -> None:
 class _Log:
     """Observer of the run that passes messages to the recording, if there is one, and to the evaluation."""
 
-    def __init__(
-        self,
-        metrics: RunMetrics,
-        writer: RunWriter | None,
-        learned: EstimatedCurrent | None,
-        keep: Callable[[Message], None] | None,
-    ) -> None:
+    def __init__(self, metrics: RunMetrics, writer: RunWriter | None, keep: Callable[[Message], None] | None) -> None:
         self.metrics = metrics
-        self._keep = keep
         self.rejected_count = 0
-        self._learned = learned
-        self._writer = writer
+        self._keep, self._writer = keep, writer
 
     @property
     def observed_types(self) -> frozenset[type[Message]]:
@@ -179,8 +174,6 @@ class _Log:
             self._writer.write(node, content, _header(message.sequence), message.received_t_ns)
         if self._keep is not None:
             self._keep(content)
-        if self._learned is not None and isinstance(content, Estimate):
-            self._learned.update(content)
 
 
 def _header(sequence: int) -> wire.Header:

@@ -79,14 +79,8 @@ def simulate(
         if qps and isinstance(message, Plan):
             kept.append(recorder.newest())
 
-    summary = lockstep_run.simulate(
-        run_config,
-        None,
-        None,
-        lambda: False,
-        nodes=make_nodes(run_config, terms=terms, make_solver=recorder),
-        keep=keep,
-    )
+    nodes = make_nodes(run_config, terms=terms, make_solver=recorder)
+    summary = lockstep_run.simulate(run_config, nodes=nodes, keep=keep)
     return Run(run_config.name, messages, msgspec.to_builtins(summary), kept)
 
 
@@ -160,7 +154,7 @@ class Run(Mapping[str, "Table"]):
         return f"<Run {self.name}: {counts}>"
 
 
-class Table(Mapping[str, Column]):
+class Table(dict[str, Column]):
     """Messages of one key as arrays by field, the first index over messages.
 
     Names end with their unit, as on the bus; ``units`` has them apart. ``t_s`` is ``t_ns`` in seconds. A part of a
@@ -172,11 +166,8 @@ class Table(Mapping[str, Column]):
         """Take messages of one type; of inertial ones each sample."""
         samples = (one.samples for one in messages if isinstance(one, ImuSamples))
         self._messages: Sequence[Any] = list(itertools.chain.from_iterable(samples)) or messages
-
-    @cached_property
-    def _columns(self) -> dict[str, Column]:
         columns = dict(_columns(self._messages))
-        return {"t_s": columns["t_ns"] * 1e-9, **columns} if "t_ns" in columns else columns
+        super().__init__({"t_s": columns["t_ns"] * 1e-9, **columns} if "t_ns" in columns else columns)
 
     @cached_property
     def units(self) -> dict[str, str]:
@@ -201,19 +192,9 @@ class Table(Mapping[str, Column]):
                 flat |= {"_".join((name, *map(str, place))): values[(slice(None), *place)] for place in places}
         return pandas.DataFrame(flat)
 
-    def __getitem__(self, name: str) -> Column:
-        """Return the array of a field."""
-        if name not in self._columns:
-            raise KeyError(f"no field {name!r}{suggestion(name, self._columns)}")
-        return self._columns[name]
-
-    def __iter__(self) -> Iterator[str]:
-        """Yield the names of the fields."""
-        return iter(self._columns)
-
-    def __len__(self) -> int:
-        """Return the number of fields."""
-        return len(self._columns)
+    def __missing__(self, name: str) -> Column:
+        """Say which field was probably meant."""
+        raise KeyError(f"no field {name!r}{suggestion(name, self)}")
 
     def __repr__(self) -> str:
         """Name the fields with their shapes."""

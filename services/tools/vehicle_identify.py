@@ -156,8 +156,7 @@ def motion_of_log(estimates: list[Estimate], log: AutopilotLog) -> Motion:
     t_ns = np.array([estimate.t_ns for estimate in estimates], dtype=np.int64)
     last = np.maximum(np.searchsorted(log.t_ns, t_ns, side="right") - 1, 0)
     known = _reported(t_ns, log.t_ns) & log.armed[last] & np.isfinite(log.command_N[last]).all(axis=1)
-    command = np.column_stack([np.interp(t_ns, log.t_ns, np.nan_to_num(row)) for row in log.command_N.T])
-    return _motion(estimates, known, command, None)
+    return _motion(estimates, known, _interpolate(t_ns, log.t_ns, np.nan_to_num(log.command_N)), None)
 
 
 def _recorded(path: Path) -> _Recorded:
@@ -186,8 +185,10 @@ def motion_of(
     planned, in_force = _planned(t_ns, plans, vehicle.plan_timeout_s)
     thrust = None
     if reports:
-        known = _reported(t_ns, np.array([report.t_ns for report in reports]))
-        command, thrust = (_interpolate(t_ns, reports, field) for field in ("command_N", "thrust_N"))
+        report_t_ns = np.array([report.t_ns for report in reports])
+        known = _reported(t_ns, report_t_ns)
+        command = _interpolate(t_ns, report_t_ns, np.array([report.command_N[:2] for report in reports]))
+        thrust = _interpolate(t_ns, report_t_ns, np.array([report.thrust_N[:2] for report in reports]))
         idle: Mask = np.all(np.abs(thrust) <= IDLE * largest_N, axis=1)
         if plans:  # not released: a plan that is in force wants no thrust
             idle &= ~(in_force & np.all(np.abs(planned) <= WANTED * largest_N, axis=1))
@@ -268,11 +269,9 @@ def _current_rate(estimate: Estimate) -> tuple[float, float]:
     return (n1 - n0) * w, (e1 - e0) * w
 
 
-def _interpolate(t_ns: Times, reports: list[Applied], field: str) -> Array:
-    """Interpolate port and starboard (M, 2) of the reports linearly."""
-    report_t_ns = np.array([report.t_ns for report in reports])
-    values = np.array([getattr(report, field)[:2] for report in reports])
-    return np.column_stack([np.interp(t_ns, report_t_ns, values[:, i]) for i in range(2)])
+def _interpolate(t_ns: Times, at_ns: Times, values: Array) -> Array:
+    """Interpolate port and starboard (M, 2) linearly."""
+    return np.column_stack([np.interp(t_ns, at_ns, column) for column in values.T])
 
 
 def _planned(t_ns: Times, plans: list[tuple[int, Plan]], timeout_s: float) -> tuple[Array, Mask]:

@@ -1,4 +1,4 @@
-"""A vehicle that knows nothing of this project: a 6-DOF hull behind the messages of docs/protocol.md.
+"""A vehicle that knows the messages of docs/protocol.md and nothing else of this project: a 6-DOF hull.
 
 The hull, of 150 kg and 1.9 m, moves by the equations of the strangers (benchmarks/strangers/rigid_body.py), which share
 none with the controller's model: its shape ahead and astern of the middle differs, fins at the stern are fixed, and a
@@ -167,7 +167,7 @@ AHEAD_NS = 7_200_000_000_000
 """Its clock: two hours ahead of the host's."""
 
 
-SET_AT_S = 20.0
+SET_AT_S = 12.0
 """Time of its run at which its clock is set, if it is."""
 
 

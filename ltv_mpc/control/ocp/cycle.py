@@ -18,7 +18,7 @@ from ltv_mpc.control.linearisation import Linearisation
 from ltv_mpc.control.ocp import assembly, fence, limits
 from ltv_mpc.control.ocp.extension import Extensions, Limit, Term
 from ltv_mpc.control.ocp.problem import Problem, least_surplus
-from ltv_mpc.control.problem_data import CHANGES, COMMANDS, bow_first
+from ltv_mpc.control.problem_data import CHANGES, COMMANDS
 from ltv_mpc.messages import Array
 
 
@@ -125,11 +125,6 @@ class Cycle:
     def position_scale_m(self) -> float:
         """Scale S of a position."""
         return float(self._scales[0])
-
-    @property
-    def bow_first(self) -> bool:
-        """True if the vehicle may not go astern."""
-        return bow_first(self.packed)
 
     def full_problem(self, problem: Problem, lin: Linearisation) -> Problem:
         """Return a problem of a size in which every number that can differ from zero does: it gives the pattern.

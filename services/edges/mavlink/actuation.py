@@ -39,16 +39,12 @@ def pwm_us(thruster: Thruster, thrust_N: float) -> float:
     if thrust_N == 0.0:
         return float(NEUTRAL)
     us, force = np.asarray(thruster.pwm_us, dtype=float), np.asarray(thruster.pwm_N, dtype=float)
-    side = force >= 0.0 if thrust_N > 0.0 else force <= 0.0
-    rising = force[-1] > force[0]
-    us, force = (us[side], force[side]) if rising else (us[side][::-1], force[side][::-1])
-    if thrust_N > 0.0:  # of several rows without thrust the last one is the edge of the dead band
-        first = int(np.flatnonzero(force == 0.0)[-1]) if (force == 0.0).any() else 0
-        us, force = us[first:], force[first:]
-    else:
-        last = int(np.flatnonzero(force == 0.0)[0]) if (force == 0.0).any() else len(force) - 1
-        us, force = us[: last + 1], force[: last + 1]
-    return float(np.interp(thrust_N, force, us))
+    if force[-1] < force[0]:
+        us, force = us[::-1], force[::-1]
+    # first and last row without thrust, the edges of the dead band; if there is none, last is the row before first
+    first, last = np.searchsorted(force, 0.0, side="left"), np.searchsorted(force, 0.0, side="right") - 1
+    side = slice(max(first, last), None) if thrust_N > 0.0 else slice(min(first, last) + 1)
+    return float(np.interp(thrust_N, force[side], us[side]))
 
 
 def channels(vehicle: Vehicle, kind: Kind, thrust_N: Array) -> dict[int, int]:

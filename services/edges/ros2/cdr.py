@@ -22,15 +22,12 @@ MAX_BYTES = 262_144
 
 LITTLE_ENDIAN, BIG_ENDIAN = b"\x00\x01", b"\x00\x00"
 
+RESULT = "bool success\nstring message"
 SERVICES = {
-    "std_srvs/srv/SetBool": ("bool data", "bool success\nstring message"),
-    "std_srvs/srv/Trigger": ("", "bool success\nstring message"),
+    "std_srvs/srv/SetBool": ("bool data", RESULT, "abe9e4bb6b41b40e6789712c00ec8871923e089af3f667a79992a428cff2da0a"),
+    "std_srvs/srv/Trigger": ("", RESULT, "eeff2cd6fa5ad9d27cdf4dec64818317839b62f212a91e6b5304b634b2062c5f"),
 }
-"""Request and response of each service."""
-
-EVENT_INFO = (
-    "uint8 event_type\nbuiltin_interfaces/Time stamp\nuint8[16] client_gid\nint64 sequence_number"  # service_msgs
-)
+"""Request, response and hash of each service. The hash is that of a type with an event too: it is written down."""
 
 DECODE_ERRORS = (
     SerdeError,
@@ -48,38 +45,24 @@ DECODE_ERRORS = (
 
 @cache
 def _types() -> Typestore:
-    """Return the types of the topics, the same in every distribution so far, and those of the services.
-
-    A service is hashed as a type of three fields: request, response, and an event of both.
-    """
+    """Return the types of the topics, the same in every distribution so far, and those of the services."""
     types = get_typestore(Stores.ROS2_HUMBLE)
-    own = get_types_from_msg(EVENT_INFO, "service_msgs/msg/ServiceEventInfo")
-    for name, (request, response) in SERVICES.items():
-        own |= get_types_from_msg(request, f"{name}_Request") | get_types_from_msg(response, f"{name}_Response")
-        event = f"service_msgs/ServiceEventInfo info\n{name}_Request[<=1] request\n{name}_Response[<=1] response"
-        own |= get_types_from_msg(event, f"{name}_Event")
-        whole = f"{name}_Request request_message\n{name}_Response response_message\n{name}_Event event_message"
-        own |= get_types_from_msg(whole, name)
-    types.register(_with_their_names(own))
+    for name, (request, response, _) in SERVICES.items():
+        for part, text in (("Request", request), ("Response", response)):
+            types.register(get_types_from_msg(text, _registered(f"{name}_{part}")))
     return types
 
 
-def _with_their_names(parsed: Any) -> Any:
-    """Return parsed types with the names of ROS: rosbags inserts a ``msg`` into those of services."""
-    if isinstance(parsed, str):
-        return parsed.replace("/srv/msg/", "/srv/")
-    if isinstance(parsed, dict):
-        return {_with_their_names(name): _with_their_names(of) for name, of in parsed.items()}
-    if isinstance(parsed, list | tuple):
-        return type(parsed)(_with_their_names(one) for one in parsed)
-    return parsed
+def _registered(ros_type: str) -> str:
+    """Return the name of a type in the store of rosbags, which knows messages alone."""
+    return ros_type.replace("/srv/", "/msg/")
 
 
 def make(ros_type: str, **fields: Any) -> Any:
     """Return a message of a type. A field is a message, or a dict of its fields; what is not given is zero or empty."""
-    types = _types()
-    values = {name: _value(of, fields.pop(name, None)) for name, of in types.fielddefs[ros_type][1]}
-    return types.types[ros_type](**values, **fields)
+    types, name = _types(), _registered(ros_type)
+    values = {field: _value(of, fields.pop(field, None)) for field, of in types.fielddefs[name][1]}
+    return types.types[name](**values, **fields)
 
 
 def _value(of: Any, given: Any) -> Any:
@@ -104,7 +87,7 @@ def decode(payload: bytes, ros_type: str) -> Any:
     if payload[:2] not in (LITTLE_ENDIAN, BIG_ENDIAN):
         raise Refused("no CDR header")
     try:
-        return _types().deserialize_cdr(payload, ros_type)
+        return _types().deserialize_cdr(payload, _registered(ros_type))
     except DECODE_ERRORS as error:
         raise Refused(f"no {ros_type}: {error or type(error).__name__}") from None
 
@@ -117,4 +100,4 @@ def encode(message: Any) -> bytes:
 @cache
 def type_hash(ros_type: str) -> str:
     """Return the hash of a type, as in REP 2016."""
-    return _types().hash_rihs01(ros_type)
+    return f"RIHS01_{SERVICES[ros_type][2]}" if ros_type in SERVICES else _types().hash_rihs01(ros_type)

@@ -77,10 +77,7 @@ def open_store(folder: Path, settings: Mapping[str, Any], *, force: bool = False
         if force:
             file.truncate(0)
         file.seek(0)
-        whole = 0
-        for line in file:
-            if line.endswith(b"\n"):
-                whole += len(line)
+        whole = sum(len(line) for line in file if line.endswith(b"\n"))
         file.truncate(whole)
         here = json.loads(_line({"settings": msgspec.to_builtins(settings)}))["settings"]
         if whole == 0:

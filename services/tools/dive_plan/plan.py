@@ -13,6 +13,7 @@ gain     sigma at the end after one change of the dive or of its sensors, everyt
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple, TypeVar
@@ -117,27 +118,20 @@ class DivePlan(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Case(NamedTuple):
-    """One bound to compute."""
+    """One bound to compute: the arguments of ``bound``."""
 
-    sensors: SensorConfig
-    water: EstimatorConfig
+    sensor_config: SensorConfig
+    config: EstimatorConfig
     trajectory: Trajectory
     at_s: tuple[float, ...]
-    surface_s: float
+    surface_time_s: float
     calibration_s: float = 0.0
 
 
 def drift(case: Case) -> list[float]:
     """Return the bound on the drift of one axis (m) at the instants of the case."""
-    found = bound(
-        case.sensors,
-        case.water,
-        case.trajectory,
-        at_s=case.at_s,
-        surface_time_s=case.surface_s,
-        calibration_s=case.calibration_s,
-    ).drift_rms_m
-    return [float(value) for value in found]
+    found: list[float] = bound(**case._asdict()).drift_rms_m.tolist()
+    return found
 
 
 class Dive(NamedTuple):
@@ -241,7 +235,7 @@ def plan(
     fixes: Sequence[int],
     runs: int,
     limit_m: float | None,
-    progress: Callable[[int], None],
+    progress: Callable[[float], None],
 ) -> DivePlan:
     """Simulate the dives and compute all bounds. Raises ``ConfigError``.
 
@@ -256,20 +250,25 @@ def plan(
     limit_m
         Drift whose time is wanted (m), or None.
     progress
-        Receives the number of further results, of ``count_of_results`` in all.
+        Receives the share done.
     """
+    total, done = len(fixes) * runs + 2 * len(SOURCES) + GAINS, itertools.count(1)
+
+    def advance() -> None:
+        progress(next(done) / total)
+
     dives = [dive._replace(fixes=n, seed=dive.seed + i) for n in fixes for i in range(runs)]
-    flights = _each(fly, dives, progress)
+    flights = _each(fly, dives, advance)
     lines = [_rms([flight.drift_m for flight in flights[k * runs : (k + 1) * runs]]) for k in range(len(fixes))]
     first = flights[0]
     end_s, end_m = first.case.at_s[-1], lines[0][-1]
     base = first.case._replace(at_s=(end_s,))
     changes = gains(base)
     sources = [scaled(base, keys, factor) for keys in SOURCES.values() for factor in (STEP, 1.0 / STEP)]
-    ends = [line[-1] for line in _each(drift, [*changes.values(), *sources], progress)]
+    ends = [line[-1] for line in _each(drift, [*changes.values(), *sources], advance)]
     ratios, more, less = [end / first.drift_m[-1] for end in ends[:GAINS]], ends[GAINS::2], ends[GAINS + 1 :: 2]
     shares = {name: math.log(high / low) / math.log(STEP) for name, high, low in zip(SOURCES, more, less, strict=True)}
-    run_config, sensors = dives[0].run_config(), first.case.sensors
+    run_config, sensors = dives[0].run_config(), first.case.sensor_config
     t_s = [float(t) for t in np.mean([flight.case.at_s for flight in flights], axis=0)]
     return DivePlan(
         sensors=sensors.name,
@@ -296,17 +295,12 @@ def not_counted(sensors: SensorConfig) -> list[str]:
     return [sensor.name for sensor, _ in fitted(sensors) if sensor.name not in counted]
 
 
-def count_of_results(fixes: Sequence[int], runs: int) -> int:
-    """Return how many results a plan has, for a progress bar."""
-    return len(fixes) * runs + 2 * len(SOURCES) + GAINS
-
-
-def _each(work: Callable[[T], R], jobs: Sequence[T], progress: Callable[[int], None]) -> list[R]:
+def _each(work: Callable[[T], R], jobs: Sequence[T], advance: Callable[[], None]) -> list[R]:
     """Do all jobs on all cores, and return the results in the order of the jobs."""
     results: dict[int, R] = {}
     for place, result in run_each(work, jobs):
         results[place] = result
-        progress(1)
+        advance()
     return [results[place] for place in range(len(jobs))]
 
 
@@ -317,8 +311,8 @@ def _rms(lines: Sequence[Sequence[float]]) -> list[float]:
 def gains(base: Case) -> dict[str, Case]:
     """Return the ``GAINS`` changes of the dive whose gain is computed."""
     return {
-        "one more satellite fix": base._replace(surface_s=base.surface_s + _fix_s(base.sensors)),
-        f"{LONGER_S:g} s longer afloat": base._replace(surface_s=base.surface_s + LONGER_S),
+        "one more satellite fix": base._replace(surface_time_s=base.surface_time_s + _fix_s(base.sensor_config)),
+        f"{LONGER_S:g} s longer afloat": base._replace(surface_time_s=base.surface_time_s + LONGER_S),
         f"a full turn in the first {TURN_S:g} s": base._replace(trajectory=turned(base.trajectory)),
         "half the ADCP noise": scaled(base, SOURCES["ADCP noise"], 0.25),
         "an hour of calibration before": base._replace(calibration_s=HOUR_S),
@@ -327,7 +321,7 @@ def gains(base: Case) -> dict[str, Case]:
 
 def scaled(case: Case, keys: Sequence[str], factor: float) -> Case:
     """Return the case with the variances of the named settings multiplied by a factor."""
-    sensors, water = case.sensors, case.water
+    sensors, water = case.sensor_config, case.config
     for key in keys:
         table, field = key.split(".")
         settings = water if table == "water" else getattr(sensors, table)
@@ -336,7 +330,7 @@ def scaled(case: Case, keys: Sequence[str], factor: float) -> Case:
             water = changed
         else:
             sensors = replace(sensors, **{table: changed})
-    return case._replace(sensors=sensors, water=water)
+    return case._replace(sensor_config=sensors, config=water)
 
 
 def turned(trajectory: Trajectory) -> Trajectory:

@@ -12,7 +12,7 @@ control cycle solves one QP. Three kinds of episodes are simulated, all in a cur
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -32,10 +32,12 @@ from services.recording.reader import Recording
 from services.run import folder
 from services.run.folder import RunFolder
 from services.run.nodes import make_nodes
-from services.run.run_config import Override, RunConfig, resolve
+from services.run.run_config import Override, resolve
 from services.tools import lockstep_run
 from sim.scheduler import LockStep
 from sim.sensors.node import Sensors
+
+DESCENT, UNKNOWN, HARD = "descent", "unknown current", "hard"
 
 MAX_DESCENT_CYCLES = 650
 """Largest number of cycles of one descent: 195 s, the duration of the paper's."""
@@ -75,14 +77,14 @@ def simulated(stages: int, cycles: int, seed: int) -> list[Episode]:
     """
     known = -(-cycles // 2)
     unknown = (cycles - known) // 2
-    lengths = {
-        _descent: (known, MAX_DESCENT_CYCLES),
-        _unknown_current: (unknown, MAX_DESCENT_CYCLES),
-        _hard: (cycles - known - unknown, HARD_CYCLES),
-    }
+    parts = (
+        (DESCENT, known, MAX_DESCENT_CYCLES),
+        (UNKNOWN, unknown, MAX_DESCENT_CYCLES),
+        (HARD, cycles - known - unknown, HARD_CYCLES),
+    )
     return [
-        make(stages, length, seed + i)
-        for make, (total, longest) in lengths.items()
+        _episode(kind, stages, length, seed + i)
+        for kind, total, longest in parts
         for i, length in enumerate(_episode_lengths(total, longest))
     ]
 
@@ -99,7 +101,7 @@ def recorded(run: str, stages: int, cycles: int) -> list[Episode]:
     stages : horizon of the controller.
     cycles : number of cycles to measure.
     """
-    run_folder = _run_folder(run)
+    run_folder = RunFolder(folder.find(run).parent)
     vehicle = Vehicle.load(str(run_folder.config("vehicle")))
     config = msgspec.structs.replace(ControllerConfig.load(str(run_folder.config("controller"))), sqp_iterations=1)
     if stages != DEFAULT:
@@ -136,36 +138,23 @@ def _episode_lengths(total: int, longest: int) -> Iterator[int]:
         total -= longest
 
 
-def _descent(stages: int, cycles: int, seed: int) -> Episode:
-    return _episode("descent", _run_config(stages, seed), cycles)
-
-
-def _unknown_current(stages: int, cycles: int, seed: int) -> Episode:
-    run_config = _run_config(stages, seed, "water.sd_mps=0.04")
-    return _episode("unknown current", run_config, cycles, current_known=False)
-
-
-def _hard(stages: int, cycles: int, seed: int) -> Episode:
-    # The point lies to the north, so the heading is the angle to the direction of the point.
-    heading = np.random.default_rng(seed).uniform(-MAX_HEADING_RAD, MAX_HEADING_RAD)
-    run_config = _run_config(stages, seed, f"plant.heading_rad={heading:.6f}")
-    reference = Point(north_m=TARGET_NORTH_M, east_m=0.0, depth_m=40.0, start_s=0.0)
-    return _episode("hard", dataclasses.replace(run_config, reference=reference), cycles)
-
-
-def _run_config(stages: int, seed: int, *settings: str) -> RunConfig:
-    common = ["run.perfect_state=true", "controller.sqp_iterations=1"]
+def _episode(kind: str, stages: int, cycles: int, seed: int) -> Episode:
+    settings = ["run.perfect_state=true", "controller.sqp_iterations=1", f"run.seed={seed}"]
     if stages != DEFAULT:
-        common += [f"controller.horizon_s={seconds(stages)!r}", f"controller.max_stages={max(stages, 2)}"]
-    return resolve(
-        "descent", [Override("option --seed", [f"run.seed={seed}"]), Override("profile", [*common, *settings])]
-    )
+        settings += [f"controller.horizon_s={seconds(stages)!r}", f"controller.max_stages={max(stages, 2)}"]
+    if kind == UNKNOWN:
+        settings.append("water.sd_mps=0.04")
+    if kind == HARD:  # the point lies to the north, so the heading is the angle to the direction of the point
+        heading = np.random.default_rng(seed).uniform(-MAX_HEADING_RAD, MAX_HEADING_RAD)
+        settings.append(f"plant.heading_rad={heading:.6f}")
+    run_config = resolve("descent", [Override("profile", settings)])
+    if kind == HARD:
+        reference = Point(north_m=TARGET_NORTH_M, east_m=0.0, depth_m=40.0, start_s=0.0)
+        run_config = dataclasses.replace(run_config, reference=reference)
 
-
-def _episode(kind: str, run_config: RunConfig, cycles: int, *, current_known: bool = True) -> Episode:
     def feed(node: Node, is_done: Callable[[], bool]) -> None:
         others = [other for other in make_nodes(run_config) if not isinstance(other, ControllerNode)]
-        if not current_known:
+        if kind == UNKNOWN:
             others = [_WithoutCurrent(other) if isinstance(other, Sensors) else other for other in others]
         t_ns = run_config.scenario.start_ns
         lockstep = LockStep([*others, node], start_ns=t_ns, latest=lockstep_run.LATEST)
@@ -180,12 +169,8 @@ class _WithoutCurrent:
     """Sensors node whose estimates do not contain the current."""
 
     def __init__(self, sensors: Node) -> None:
-        self.name, self.schedule, self.reads, self.writes = (
-            sensors.name,
-            sensors.schedule,
-            sensors.reads,
-            sensors.writes,
-        )
+        self.name, self.schedule = sensors.name, sensors.schedule
+        self.reads, self.writes = sensors.reads, sensors.writes
         self._step = sensors.step
 
     def step(self, t_ns: int, inbox: Inbox) -> Sequence[Message]:
@@ -198,38 +183,29 @@ class _WithoutCurrent:
 # --- recorded --------------------------------------------------------------------------------------------------------
 
 
-def _run_folder(run: str) -> RunFolder:
-    return RunFolder(folder.find(run).parent)
-
-
 def _replay(recording: Path, node: Node, is_done: Callable[[], bool]) -> None:
-    """Step ``node`` with the times and inboxes that the recorded node of its name had, until ``is_done``."""
-    for t_ns, inbox in _steps(recording, node):
-        if is_done():
-            return
-        node.step(t_ns, inbox)
+    """Step ``node`` with the times and inboxes that the recorded node of its name had, until ``is_done``.
 
-
-def _steps(recording: Path, node: Node) -> Iterable[tuple[int, Inbox]]:
-    """Generate the time and the inbox of each recorded step of the node, without messages that the recorder lost."""
-    reads = frozenset(node.reads)
+    Messages that the recorder lost are left out.
+    """
+    kinds = frozenset((StepRecord, *node.reads))
     received: dict[tuple[str, int, int], Message] = {}
-    for recorded_message in Recording(recording):
-        if recorded_message.kind is not StepRecord and recorded_message.kind not in reads:
+    for stored in Recording(recording):
+        if stored.kind not in kinds:
             continue
         try:
-            message, header = recorded_message.typed()
+            message, header = stored.typed()
         except WireError:  # its readers have rejected it
             continue
-        if isinstance(message, StepRecord):
-            for step in message.steps if message.node == node.name else ():
-                yield (
-                    step.t_ns,
-                    [
-                        ReceivedMessage(received.pop(name), entry.epoch, entry.sequence, entry.received_t_ns)
-                        for entry in step.inbox
-                        if (name := (entry.key, entry.epoch, entry.sequence)) in received
-                    ],
-                )
-        else:
-            received[recorded_message.key, header.epoch, header.sequence] = message
+        if not isinstance(message, StepRecord):
+            received[stored.key, header.epoch, header.sequence] = message
+            continue
+        for step in message.steps if message.node == node.name else ():
+            if is_done():
+                return
+            inbox = [
+                ReceivedMessage(received.pop(name), entry.epoch, entry.sequence, entry.received_t_ns)
+                for entry in step.inbox
+                if (name := (entry.key, entry.epoch, entry.sequence)) in received
+            ]
+            node.step(step.t_ns, inbox)

@@ -9,7 +9,7 @@ import pytest
 from msgspec.structs import replace
 
 from ltv_mpc import Controller, ControllerConfig, Estimate, Vehicle, advance, references
-from ltv_mpc.messages import Authority, Plan
+from ltv_mpc.messages import Plan
 from ltv_mpc.safety.command_arbiter import ThrustOverride
 from ltv_mpc.vehicle.parameters import Translation
 
@@ -73,7 +73,7 @@ def lag_of_a_dive(controller: Controller, estimate: Estimate) -> tuple[float, fl
     return float(t[np.argmax(depth > DRAUGHT_M + 0.05)]), float((DRAUGHT_M + 0.2 * t - depth).max())
 
 
-@pytest.mark.parametrize(("name", "seconds"), [("paper", 300.0), ("low-yaw", 60.0), ("weak-reverse", 15.0)])
+@pytest.mark.parametrize(("name", "seconds"), [("paper", 300.0), ("weak-reverse", 15.0)])
 def test_a_dive_after_waiting_afloat_is_that_of_a_new_controller(name: str, seconds: float) -> None:
     vehicle, start = Vehicle.load(name), Estimate.at_rest(depth_m=DRAUGHT_M)
     begins_s, behind_m = lag_of_a_dive(controller_of(vehicle, 12.0), start)
@@ -85,7 +85,7 @@ def test_a_dive_after_waiting_afloat_is_that_of_a_new_controller(name: str, seco
     assert later_m <= behind_m + 0.2
 
 
-@pytest.mark.parametrize(("wanted_m", "noise_m"), [(0.0, 0.02), (0.2, 0.01), (0.27, 0.0)])
+@pytest.mark.parametrize(("wanted_m", "noise_m"), [(0.0, 0.02), (0.27, 0.0)])
 def test_afloat_the_vehicle_needs_no_vertical_thrust(wanted_m: float, noise_m: float) -> None:
     rng = np.random.default_rng(1)
     controller, start = controller_of(PAPER, wanted_m), Estimate.at_rest(depth_m=DRAUGHT_M)
@@ -94,25 +94,6 @@ def test_afloat_the_vehicle_needs_no_vertical_thrust(wanted_m: float, noise_m: f
     thrust = np.array([plan.thrust_N[0, 2] for plan in plans])
     assert np.median(abs(thrust)) < 0.1
     assert thrust.min() > -10.0
-
-
-def test_the_same_reference_dives_at_once_after_a_part_at_the_surface() -> None:
-    """The way begins with 30 m at depth 0, on which the vehicle floats for a minute and more."""
-    place = references.Place
-    way = references.Waypoints(
-        speed_mps=0.4,
-        waypoints=(
-            place(north_m=0.0, east_m=0.0, depth_m=0.0),
-            place(north_m=30.0, east_m=0.0, depth_m=0.0),
-            place(north_m=60.0, east_m=0.0, depth_m=6.0),
-        ),
-    )
-    controller = Controller(PAPER, way, ControllerConfig(horizon_s=6.0))
-    flown, plans = fly(controller, Estimate.at_rest(depth_m=DRAUGHT_M), 180.0, afloat)
-    dived = next(k for k, plan in enumerate(plans) if plan.thrust_N[0, 2] > 1.0 and k > 200)
-    assert plans[dived - 1].thrust_N[0, 2] == 0.0
-    assert abs(plans[dived].remaining_m - 30.0) < 1.0
-    assert flown[-1].depth_m == pytest.approx(0.2 * (30.0 - plans[-1].remaining_m), abs=0.4)
 
 
 @pytest.mark.parametrize(("deeper_m", "most_N"), [(0.3, 37.0), (1.0, 51.0)])
@@ -124,7 +105,7 @@ def test_aground_the_thrust_stays_that_of_the_law_without_integral(deeper_m: flo
     assert abs(controller.save(0).depth_integral_N) < 0.1
 
 
-@pytest.mark.parametrize("wanted_m", [4.0, 4.7, 5.3, 7.0])
+@pytest.mark.parametrize("wanted_m", [4.7, 7.0])
 def test_a_vehicle_that_is_held_goes_to_its_depth_when_it_is_released(wanted_m: float) -> None:
     controller = controller_of(PAPER, wanted_m)
     way, _ = fly(controller, Estimate.at_rest(depth_m=5.0), 200.0, held)
@@ -135,28 +116,13 @@ def test_a_vehicle_that_is_held_goes_to_its_depth_when_it_is_released(wanted_m: 
     assert abs(depth - wanted_m).max() < abs(5.0 - wanted_m) + 0.1  # it does not go the other way
 
 
-@pytest.mark.parametrize(
-    ("off_N", "damping_kgps"), [(-40.0, 200.0), (-6.5, 1000.0), (-0.5, 0.0), (0.5, 200.0), (6.5, 0.0), (20.0, 200.0)]
-)
+@pytest.mark.parametrize(("off_N", "damping_kgps"), [(-40.0, 200.0), (0.5, 200.0), (6.5, 0.0)])
 def test_a_wrong_buoyancy_is_still_learned(off_N: float, damping_kgps: float) -> None:
     heave = Translation(mass_kg=225.0, linear_damping_kgps=damping_kgps, quadratic_damping_kgpm=800.0)
     model = replace(PAPER, heave=heave)
     true = replace(model, net_buoyancy_N=PAPER.net_buoyancy_N + off_N)
     way, _ = fly(controller_of(model, 8.0), Estimate.at_rest(depth_m=8.0), 300.0 + damping_kgps, free, true)
     assert way[-1].depth_m == pytest.approx(8.0, abs=0.02)
-
-
-@pytest.mark.parametrize("rate_N_per_s", [0.01, 0.05])
-def test_a_buoyancy_that_changes_slowly_is_followed(rate_N_per_s: float) -> None:
-    """The error of the integral is rate x T_i / (M_z w0^2): about 1 and 5 cm."""
-    controller, estimate, worst = controller_of(PAPER, 8.0), Estimate.at_rest(depth_m=8.0), 0.0
-    for k in range(100):
-        true = replace(PAPER, net_buoyancy_N=30.5 - rate_N_per_s * 3.0 * k)
-        way, _ = fly(controller, estimate, 3.0, free, true)
-        estimate = way[-1]
-        if k >= 10:  # until then the thruster, which was at rest, takes over the buoyancy
-            worst = max(worst, abs(estimate.depth_m - 8.0))
-    assert worst < 0.03 + 2.5 * rate_N_per_s
 
 
 def test_a_new_reference_starts_the_integral_at_zero_and_a_pause_does_not() -> None:
@@ -169,13 +135,3 @@ def test_a_new_reference_starts_the_integral_at_zero_and_a_pause_does_not() -> N
     assert controller.save(0).depth_integral_N == pytest.approx(-6.5, abs=0.3)
     controller.follow(to(9.0))
     assert controller.save(0).depth_integral_N == 0.0
-
-
-def test_a_pilot_between_two_phases_afloat_leaves_nothing_behind() -> None:
-    controller, start = controller_of(PAPER, 0.0), Estimate.at_rest(depth_m=DRAUGHT_M)
-    way, _ = fly(controller, start, 100.0, afloat)
-    hand = ThrustOverride(Authority.MANUAL, (0.0, 0.0, -62.5), 10**15, "by hand")
-    way, _ = fly(controller, way[-1], 30.0, afloat, override=hand)
-    way, plans = fly(controller, way[-1], 60.0, afloat)
-    assert abs(plans[-1].thrust_N[0, 2]) < 0.1
-    assert abs(controller.save(0).depth_integral_N) < 1.0

@@ -93,12 +93,6 @@ def test_beyond_a_ridge_the_vehicle_descends_again() -> None:
     assert way[-1, 1] == pytest.approx(15.0, abs=0.1)
 
 
-def test_a_buoyancy_that_is_6_N_too_small_leaves_the_altitude() -> None:
-    over, true = ground(CLIFF), msgspec.structs.replace(PAPER, net_buoyancy_N=24.5)
-    way, _ = travel(controller(line(), over), over, 150.0, true=true)
-    assert way[:, 2].min() > LEAST_M
-
-
 def test_the_path_after_a_corner_counts_not_the_ground_straight_on() -> None:
     """The path turns 15 m before a cliff. A straight line would meet it, so a vehicle at a point beyond it rises."""
     over = ground(CLIFF)
@@ -129,13 +123,6 @@ def test_where_the_chart_ends_the_bottom_track_remains() -> None:
     assert plans[-1].depth_limit_m == pytest.approx(18.0 - LEAST_M)
     blind = controller(here, chart).plan(Estimate.at_rest(depth_m=5.0))
     assert blind.depth_limit_m is None
-
-
-def test_a_chart_that_begins_ahead_counts_already() -> None:
-    """The vehicle begins outside it, and its path ends beyond it."""
-    chart, truth = ground(((20.0, 20.0), *CLIFF[1:3], (50.0, 12.0))), ground(CLIFF)
-    way, _ = travel(controller(line(), chart), truth, 150.0, range_m=5.5)
-    assert way[:, 2].min() > LEAST_M
 
 
 def test_a_vehicle_that_cannot_rise_does_not_descend_into_what_is_ahead() -> None:

@@ -68,12 +68,6 @@ def test_a_ramp_into_the_bottom_stops_at_the_least_altitude(name: str, rate_mps:
         assert np.all(np.abs(np.diff(F)) <= thruster.slew_N_per_s * np.diff(plan.t_ns) * 1e-9 + 1e-9)
 
 
-def test_without_the_limit_the_same_ramp_passes_the_bottom() -> None:
-    way, plans = dive(Controller(PAPER, deeper(), config()), PAPER, 90.0, Estimate.at_rest(depth_m=0.0))
-    assert depths(way).max() > BOTTOM_M
-    assert all(plan.depth_limit_m is None for plan in plans)
-
-
 def test_a_bottom_that_is_seen_late_is_not_reached() -> None:
     """The altimeter sees 5 m; least altitude 3 m; the stopping distance at 0.2 m/s is 2 w / l = 1.3 m."""
     controller = Controller(PAPER, deeper(), config(min_altitude_m=3.0))
@@ -185,13 +179,6 @@ def test_a_limit_is_named_for_a_depth_beyond_it_alone() -> None:
     assert not none.is_limited
     none.update(msgspec.structs.replace(Estimate.at_rest(depth_m=5.0), altitude_m=10.0))
     assert none.limit_before(13.0) == 12.0
-
-
-def test_far_from_its_limits_the_law_is_not_changed() -> None:
-    bounds = np.array([0.0, 100.0, 0.3])
-    assert clip_to_depths(17.0, 50.0, 0.1, 0.0, bounds, PAPER.coefficients()) == 17.0
-    free = np.array([-np.inf, np.inf, 0.3])
-    assert clip_to_depths(17.0, 50.0, 0.1, 0.0, free, PAPER.coefficients()) == 17.0
 
 
 def test_depth_limits_without_a_depth_between_them_are_refused() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import msgspec
 import numpy as np
 import pytest
@@ -14,9 +16,10 @@ from ltv_mpc.control.nominal_model import as_estimate
 from ltv_mpc.control.prediction import Prediction
 from ltv_mpc.control.scaling import PAPER_SCALES
 from ltv_mpc.control.sent_commands import SentCommands
-from ltv_mpc.messages import Action, Plan, PlanOrigin, Solve, SolveStatus
+from ltv_mpc.messages import Action, Plan
 from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.vehicle.reference_point import ReferencePoint
+from tests.ltv_mpc.plans import plan_of
 from tests.ltv_mpc.reports import report
 
 PAPER = Vehicle.load("paper")
@@ -104,11 +107,6 @@ def test_the_bias_is_added_to_the_profile():
     np.testing.assert_allclose(part + bias.bias_mps, WATER, atol=0.005)
 
 
-def test_a_correct_profile_needs_no_bias():
-    bias, _, _ = held(ON, flat(WATER))
-    np.testing.assert_allclose(bias.bias_mps, 0.0, atol=0.002)
-
-
 def drifting(seconds: float, steps: int, settings: Disturbance = ON, **changes: float):
     """Return the observer after ``steps`` estimates without a profile of a vehicle without thrust."""
     bias, commands, vehicle = DisturbanceObserver(settings, PAPER), SentCommands(PAPER), Prediction(PAPER)
@@ -122,14 +120,6 @@ def test_a_vehicle_at_rest_without_thrust_does_not_observe_the_bias():
     bias, _ = drifting(0.3, 400, Disturbance(sd_mps=0.1, noise_mps=1.0))
     np.testing.assert_allclose(bias.bias_mps, 0.0, atol=1e-12)
     assert np.linalg.eigvalsh(bias.covariance).max() <= 0.1**2 * (1 + 1e-9)
-
-
-def test_a_velocity_that_drag_does_not_reduce_is_the_water_s():
-    """The vehicle keeps 0.2 m/s over ground without thrust."""
-    bias, corrected = drifting(0.3, 50, velocity_north_mps=0.2)
-    assert bias.bias_mps[0] > 0.05
-    assert abs(bias.bias_mps[1]) < 0.01
-    assert corrected.current.north_mps[0] == pytest.approx(bias.bias_mps[0])
 
 
 def test_over_a_long_interval_the_bias_is_not_updated():
@@ -149,21 +139,26 @@ def test_over_a_long_interval_the_bias_becomes_less_certain(sinks_m: float, vari
     np.testing.assert_allclose(bias.covariance - before, variance * np.eye(2), rtol=1e-6, atol=1e-12)
 
 
-def test_the_noise_of_a_navigation_filter_is_not_taken_for_a_current():
-    """The velocity error has 1 cm/s rms and varies over some seconds, as the covariance says."""
+def noisy(sd_mps: float, speed_mps: float = 0.0) -> Iterator[Estimate]:
+    """Estimates of a vehicle under way, whose velocity differs from their profile by what varies over 3 s."""
     rng, error = np.random.default_rng(5), np.zeros(2)
-    knowing, sure = DisturbanceObserver(ON, PAPER), DisturbanceObserver(ON, PAPER)
-    commands, vehicle = SentCommands(PAPER), Prediction(PAPER)
-    largest, errors = {knowing: 0.0, sure: 0.0}, []
     for k in range(300):
-        error = 0.9 * error + 0.01 * np.sqrt(1 - 0.9**2) * rng.standard_normal(2)
-        estimate = msgspec.structs.replace(
+        error = 0.9 * error + sd_mps * np.sqrt(1 - 0.9**2) * rng.standard_normal(2)
+        yield msgspec.structs.replace(
             Estimate.at_rest(),
             t_ns=k * 300_000_000,
-            velocity_north_mps=WATER[0] + error[0],
+            velocity_north_mps=WATER[0] + speed_mps + error[0],
             velocity_east_mps=WATER[1] + error[1],
             current=flat(WATER),
         )
+
+
+def test_the_noise_of_a_navigation_filter_is_not_taken_for_a_current():
+    """The velocity error has 1 cm/s rms, as the covariance says."""
+    knowing, sure = DisturbanceObserver(ON, PAPER), DisturbanceObserver(ON, PAPER)
+    commands, vehicle = SentCommands(PAPER), Prediction(PAPER)
+    largest, errors = {knowing: 0.0, sure: 0.0}, []
+    for estimate in noisy(0.01):
         certain = np.diag([1.0, 1.0, 1e-4, 1e-4, 1e-4, 1e-6])
         knowing.correct(msgspec.structs.replace(estimate, covariance=certain), vehicle, commands)
         sure.correct(estimate, vehicle, commands)
@@ -176,25 +171,15 @@ def test_the_noise_of_a_navigation_filter_is_not_taken_for_a_current():
 
 @pytest.mark.parametrize("speed_mps", [0.03, 0.2])
 def test_the_noise_of_a_navigation_filter_is_no_error_of_its_profile(speed_mps):
-    """Its velocity differs from its profile by 3 mm/s rms that vary over 3 s, as in the descents."""
-    rng, error = np.random.default_rng(5), np.zeros(2)
+    """Its velocity differs from its profile by 3 mm/s rms, as in the descents."""
     observer, commands, vehicle = DisturbanceObserver(DEFAULT, PAPER), SentCommands(PAPER), Prediction(PAPER)
     drag_N = PAPER.surge.quadratic_damping_kgpm * speed_mps**2 / 2.0
-    added = np.zeros(300)
-    for k in range(len(added)):
-        error = 0.9 * error + 0.003 * np.sqrt(1 - 0.9**2) * rng.standard_normal(2)
-        estimate = msgspec.structs.replace(
-            Estimate.at_rest(),
-            t_ns=k * 300_000_000,
-            velocity_north_mps=WATER[0] + speed_mps + error[0],
-            velocity_east_mps=WATER[1] + error[1],
-            current=flat(WATER),
-            covariance=np.diag([1.0, 1.0, 25e-6, 25e-6, 1e-4, 1e-6]),
-        )
-        commands.add(pushing(estimate.t_ns, (drag_N, drag_N)))
-        corrected = observer.correct(estimate, vehicle, commands)
-        added[k] = np.hypot(corrected.current.north_mps[0] - WATER[0], corrected.current.east_mps[0] - WATER[1])
-    assert added.max() < 0.002  # 0.007 where the bias is always used
+    for given in noisy(0.003, speed_mps):
+        commands.add(pushing(given.t_ns, (drag_N, drag_N)))
+        certain = np.diag([1.0, 1.0, 25e-6, 25e-6, 1e-4, 1e-6])
+        current = observer.correct(msgspec.structs.replace(given, covariance=certain), vehicle, commands).current
+        # 0.007 where the bias is always used
+        assert np.hypot(current.north_mps[0] - WATER[0], current.east_mps[0] - WATER[1]) < 0.002
 
 
 def test_a_negative_variance_of_the_velocity_does_not_stop_the_controller():
@@ -396,26 +381,9 @@ def test_a_steady_course_shows_no_lever_arm():
     np.testing.assert_allclose(np.diag(covariance), 0.04, rtol=1e-6)
 
 
-def test_no_lever_arm_is_learned_where_the_settings_turn_it_off():
-    observer = DisturbanceObserver(Disturbance(lever_arm_sd_m=0.0), PAPER)
-    commands, vehicle = SentCommands(PAPER), Prediction(PAPER)
-    for k in range(50):
-        turning = msgspec.structs.replace(Estimate.at_rest(heading_rad=0.1 * k), t_ns=k * 300_000_000)
-        observer.correct(msgspec.structs.replace(turning, yaw_rate_radps=0.3, velocity_east_mps=0.1), vehicle, commands)
-    np.testing.assert_array_equal(observer.save().mean[2:4], 0.0)
-    assert observer.save().covariance[2:4].any() == False  # noqa: E712
-
-
 def pushing(t_ns: int, thrust_N: tuple[float, float]) -> Plan:
     """Return a plan of constant thrusts of port and starboard."""
-    return Plan(
-        cycle_t_ns=t_ns,
-        t_ns=t_ns + np.array([0, 3_000_000_000]),
-        thrust_N=np.array([[*thrust_N, 0.0]] * 2),
-        states=np.zeros((2, 6)),
-        origin=PlanOrigin.SOLVED,
-        solve=Solve(status=SolveStatus.SOLVED),
-    )
+    return plan_of(t_ns, [[*thrust_N, 0.0]] * 2, 3_000_000_000)
 
 
 @pytest.mark.parametrize("share", [1.0, 0.6])

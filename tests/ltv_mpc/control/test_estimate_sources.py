@@ -75,30 +75,6 @@ class Controlled:
         return None if source is None else source.epoch
 
 
-def test_a_second_source_changes_no_command_and_degrades_the_health_with_the_reason() -> None:
-    alone, beset = Controlled(), Controlled()
-    for each in (alone, beset):
-        each.run(4, From())
-    quiet, besieged = alone.run(30, From()), beset.run(30, From(), From(OTHER, north_m=0.5))
-    assert [plan.thrust_N.tolist() for plan in quiet] == [plan.thrust_N.tolist() for plan in besieged]
-    assert {plan.health for plan in quiet} == {Health.NOMINAL}
-    assert besieged[-1].health is Health.DEGRADED
-    assert besieged[-1].health_why == f"second source on estimate: epoch {OTHER} is rejected, epoch {TRUE} is used"
-    assert beset.active == TRUE
-    after = beset.run(7, From())[-1]
-    assert (after.health, after.health_why) == (Health.NOMINAL, "")
-
-
-def test_a_restarted_publisher_is_used_again_and_the_former_one_after_it() -> None:
-    controlled = Controlled()
-    controlled.run(10, From())
-    controlled.run(4, From(OTHER))
-    assert controlled.active == OTHER
-    assert controlled.run(1, From(OTHER))[-1].health is Health.NOMINAL
-    controlled.run(4, From(TRUE))
-    assert controlled.active == TRUE
-
-
 @pytest.mark.parametrize("late_ms", [500, 1000])
 def test_a_publisher_that_restarts_with_late_stamps_is_used_within_1_5_s(late_ms: int) -> None:
     controlled = Controlled()

@@ -17,7 +17,6 @@ from ltv_mpc.control.fence_clearance import (
     entry_s,
     fence_cost,
     is_near,
-    surplus_m,
 )
 from ltv_mpc.control.problem_data import pack_constants, unpack_constants
 from ltv_mpc.control.resolution import settled
@@ -110,25 +109,6 @@ def test_the_table_has_the_least_of_all_its_points(seed: int) -> None:
     np.testing.assert_array_equal(table[:, 3], (surplus < -0.01).sum(axis=0))
 
 
-def test_a_zone_that_is_nearly_reached_in_between_is_active() -> None:
-    """Straight towards a disc, up to 3 cm more than its required clearance, and back; another disc is nearer."""
-    zones = pack_zones(Fence(margin_m=0.2, keep_out_disc=(disc(0.0, 3.0, 1.0), disc(9.0, 0.0, 1.0))))
-    of = scene(zones=zones, need=np.array([0.5, 3.97]), exits=np.zeros((2, 4)), discs=np.empty((0, 7)))
-    X = np.zeros((7, 8))
-    X[:, 0] = [0.0, 1.0, 2.0, 4.0, 2.0, 1.0, 0.0]
-    table, _ = clearance_table(X, TIMES_S[:7], of, HULL_M)
-    assert table[1, 2] == pytest.approx(0.03)
-
-
-def test_in_a_zone_the_surplus_is_that_over_the_half_plane_of_its_exit() -> None:
-    exits = np.zeros((3, 4))
-    exits[1] = 1.0, 0.8, -0.6, 2.0
-    of = scene(exits=exits)
-    for north_m, east_m in np.random.default_rng(0).uniform(-3.0, 3.0, (10, 2)):
-        beyond_m = 0.8 * north_m - 0.6 * east_m - 2.0 - of.need[1]
-        assert surplus_m(of, 1, north_m, east_m, 0.0) == pytest.approx(beyond_m)
-
-
 @pytest.mark.parametrize(("within", "near"), [(0.9, True), (1.1, False)])
 def test_near_is_up_to_one_length_scale_beyond_what_is_required(within: float, near: bool) -> None:
     """A zone, an obstacle and the edge of a corridor, each alone, and a vehicle whose position scale is not 1 m."""
@@ -170,14 +150,3 @@ def test_a_place_far_to_the_south_west_changes_nothing() -> None:
         away[:, :2] += far
         assert fence_cost(away, moved, o.t, o.state_scale[0]) == pytest.approx(fence_cost(X, of, o.t, o.state_scale[0]))
         assert entry_s(away, TIMES_S, moved, HULL_M) == pytest.approx(entry_s(X, TIMES_S, of, HULL_M))
-
-
-@pytest.mark.parametrize("axis", [0, 1])
-def test_a_long_step_across_the_origin_ends_in_a_zone(axis: int) -> None:
-    place = [0.0, 0.0]
-    place[axis] = 3.2
-    zones = pack_zones(Fence(margin_m=0.2, keep_out_disc=(disc(*place, 1.0),)))
-    of = scene(zones=zones, need=np.array([0.5]), exits=np.zeros((1, 4)), discs=np.empty((0, 7)))
-    X = np.zeros((4, 8))
-    X[:, axis] = [-3.0, 3.0, 3.0, 3.0]
-    assert entry_s(X, TIMES_S[:4], of, HULL_M) == pytest.approx(0.3 * 4.9 / 6.0)

@@ -9,12 +9,9 @@ import numpy as np
 import pytest
 
 from ltv_mpc import Controller, ControllerConfig, Fence, Obstacle, Obstacles
-from ltv_mpc.control.config import MotionLimits, Weights
+from ltv_mpc.control.config import MotionLimits
 from ltv_mpc.control.fencing import Fencing
 from ltv_mpc.control.nominal_model import advance
-from ltv_mpc.control.ocp.cycle import Cycle
-from ltv_mpc.control.ocp.limits import ROWS
-from ltv_mpc.control.ocp.problem import Problem
 from ltv_mpc.control.prediction import Prediction
 from ltv_mpc.control.scaling import characteristic_scales
 from ltv_mpc.control.sent_commands import SentCommands
@@ -25,7 +22,6 @@ from ltv_mpc.geofence.obstacles import MAX_AGE_NS
 from ltv_mpc.geofence.zones import clearances, pack_zones
 from ltv_mpc.messages import Array, CurrentProfile, Estimate, Health, Pair, Plan, PlanOrigin, SolveStatus
 from ltv_mpc.references import Line, Place, Point, Reference, Waypoints
-from ltv_mpc.references.follower import PathBeside
 from ltv_mpc.vehicle.parameters import Hull, Vehicle
 from tests.ltv_mpc.control.problems import PAPER
 
@@ -82,11 +78,10 @@ def hull_clearance(fence: Fence, track: Array) -> float:
     return float(clearances(pack_zones(fence), track).min()) - HULL_M
 
 
-@pytest.mark.parametrize("water", [(0.0, 0.0), (-0.05, 0.15)], ids=["still", "current"])
-def test_it_goes_round_a_disc_and_keeps_its_margin(water: Pair) -> None:
+def test_it_goes_round_a_disc_and_keeps_its_margin() -> None:
     fence, of = disc(10.0, 0.3, 3.0), controller()
     of.set_fence(fence)
-    track, plans = fly(of, 260, water)
+    track, plans = fly(of, 260, (-0.05, 0.15))
     assert hull_clearance(fence, track) > 0.49
     assert math.dist(track[-1], GOAL) < 0.5
     assert all(plan.origin is PlanOrigin.SOLVED and plan.solve.status is SolveStatus.SOLVED for plan in plans)
@@ -94,25 +89,6 @@ def test_it_goes_round_a_disc_and_keeps_its_margin(water: Pair) -> None:
     assert len(reports) == len(plans)
     assert any(report.active == ('keep_out_disc[0] "wreck"',) for report in reports)
     assert not any(report.inside or report.in_margin for report in reports[1:])
-
-
-@pytest.mark.parametrize("larger", [100.0, 1000.0])
-def test_larger_weights_of_the_target_do_not_outweigh_the_fence(larger: float) -> None:
-    """With weights as they are given, the vehicle came 4 cm nearer than its margin, or QPs were not solved."""
-    fence, weights = disc(10.0, 0.3, 3.0), Weights()
-    position, terminal = larger * weights.position_per_m2, larger * weights.terminal_position_per_m2
-    given = msgspec.structs.replace(weights, position_per_m2=position, terminal_position_per_m2=terminal)
-    of = controller(weights=given)
-    of.set_fence(fence)
-    track, plans = fly(of, 150, (0.15, 0.0))
-    assert hull_clearance(fence, track) > 0.49
-    assert all(plan.solve.status is SolveStatus.SOLVED for plan in plans)
-
-
-def test_without_a_fence_the_straight_line_goes_through_it() -> None:
-    track, plans = fly(controller(), 150)
-    assert hull_clearance(disc(10.0, 0.3, 3.0), track) < 0.0
-    assert all(plan.fence is None for plan in plans)
 
 
 def test_it_stays_in_a_box_and_waits_at_the_wall_for_a_point_beyond() -> None:
@@ -141,40 +117,6 @@ def test_a_vehicle_inside_a_zone_leaves_it_by_the_nearest_exit() -> None:
 FAR_DISC = disc(1000.0, 0.0, 3.0)
 
 
-def rows_of_each_qp(fence: Fence, cycles: int) -> list[list[int]]:
-    """Return the numbers of half-planes of a stage in the QPs of each cycle on the way to the point.
-
-    There is another fence before, at the point: the first cycle with a fence has QPs with rows in any case.
-    """
-    counts: list[int] = []
-
-    def make_counted(vehicle: Vehicle, config: ControllerConfig) -> Solver:
-        solver = make(vehicle, config)
-        build = solver.build
-
-        def counted(problem: Problem) -> None:
-            counts.append(problem.sizes[3] - ROWS)
-            build(problem)
-
-        solver.build = counted  # type: ignore[method-assign]
-        return solver
-
-    of = Controller(CRAFT, Point(north_m=GOAL[0], east_m=GOAL[1]), make_solver=make_counted)
-    estimate, found = drifting(), []
-    of.set_fence(FAR_DISC)
-    of.plan(msgspec.structs.replace(estimate, north_m=GOAL[0], east_m=GOAL[1]))
-    of.set_fence(fence)
-    for _ in range(cycles):
-        counts.clear()
-        estimate = advance(CRAFT, estimate, of.plan(estimate), duration_s=0.3)
-        found.append(counts.copy())
-    return found
-
-
-def test_the_qp_has_no_rows_where_no_zone_is_near() -> None:
-    assert rows_of_each_qp(FAR_DISC, 20) == [[0, 0]] * 20
-
-
 def test_the_first_cycle_with_a_fence_sets_up_the_solver_of_its_rows() -> None:
     made: list[Solver] = []
 
@@ -190,125 +132,15 @@ def test_the_first_cycle_with_a_fence_sets_up_the_solver_of_its_rows() -> None:
     assert len(made) == 2
 
 
-def test_a_step_into_a_zone_is_followed_by_a_qp_with_rows() -> None:
-    first = rows_of_each_qp(disc(5.0, 0.0, 2.0), 1)[0]
-    assert len(first) == 3
-    assert first[0] == 0
-    assert first[-1] == 3
-
-
-def test_rows_that_do_not_bind_are_left_out_of_the_qp() -> None:
-    near = rows_of_each_qp(disc(10.0, 3.0 + 0.5 + HULL_M + 0.3, 3.0), 150)
-    bound = rows_of_each_qp(disc(10.0, 0.3, 3.0), 150)
-    assert near.count([0, 0]) > 140
-    assert bound.count([3, 3]) > 20  # a QP without them is not tried while they bind
-
-
-@pytest.mark.parametrize("east_m", [0.3, 3.5], ids=["in the way", "beside the way"])
-def test_plans_are_those_of_qps_that_always_have_the_rows(east_m: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    fence, (lazy, eager), calls = disc(10.0, east_m, 3.0), (controller(), controller()), []
-    for of in (lazy, eager):
-        of.set_fence(fence)
-    estimate = drifting()
-    for _ in range(120):
-        state = lazy.save(estimate.t_ns)
-        eager.restore(state, estimate.t_ns)
-        with monkeypatch.context() as patch:
-            patch.setattr(Cycle, "surplus", lambda *_: calls.append(0) or -1.0)
-            expected = eager.plan(estimate)
-        plan = lazy.plan(estimate)
-        np.testing.assert_allclose(plan.thrust_N, expected.thrust_N, atol=0.1)
-        estimate = advance(CRAFT, estimate, plan, duration_s=0.3)
-    assert len(calls) > 40
-
-
-def test_hull_and_margin_are_kept_free_and_the_corridor_has_rows_of_its_own() -> None:
-    fencing = Fencing(CRAFT, np.arange(3) * 300_000_000, corridor_m=2.0)
-    assert fencing.rows == 5
-    fencing.set_fence(disc(12.0, 0.5, 3.0))
-    assert fencing.rows == 5
-    assert fencing.scene.need.tolist() == pytest.approx([HULL_M + 0.5])
-    assert fencing.scene.stage_s == pytest.approx(0.3)
-    assert len(fencing.scene.targets) == 2
-    fencing.add_obstacles(Obstacles(t_ns=0, obstacles=()))
-    assert fencing.scene.disc_need_m[0] == pytest.approx(2.0 * HULL_M)
-    path = line(24.0).schedule(CRAFT)
-    assert fencing.allowed_path(path)[1] == pytest.approx(2.0 * math.sqrt((3.5 + HULL_M) ** 2 - 0.25), abs=0.15)
-    beside = PathBeside(np.array([[0.0, 1.0], [5.0, 1.0]]), np.array([0, 1]), 4)
-    fencing.set_path(beside)
-    np.testing.assert_array_equal(fencing.scene.path, beside.points)
-    np.testing.assert_array_equal(fencing.scene.targets, [0, 1])
-    assert fencing.scene.path_reach == 4
-    fencing.set_path(None)
-    assert not len(fencing.scene.path)
-
-
-def between(*zones: Disc) -> tuple[Fencing, Estimate]:
-    """Return the fencing of a vehicle whose position is known to 4 m, and its estimate."""
-    fencing = Fencing(CRAFT, np.arange(3) * 300_000_000)
-    fencing.set_fence(Fence(margin_m=0.5, keep_out_disc=zones))
-    return fencing, msgspec.structs.replace(drifting(), covariance=np.diag([16.0, 16.0] + [1e-4] * 4))
-
-
-def needed_m(fencing: Fencing, estimate: Estimate) -> list[float]:
-    start = Prediction(CRAFT).state_at(estimate, estimate.t_ns, SentCommands(CRAFT, 300_000_000))
-    fencing.update(start, estimate, 0.0)
-    assert fencing.meeting_margins == ()
-    needed: list[float] = fencing.scene.need.tolist()
-    return needed
-
-
-def test_zones_that_ask_for_more_than_there_is_between_them_ask_for_what_there_is() -> None:
-    """Otherwise their rows cancel: a vehicle whose position was known to 4 m was led 3 m into a zone."""
-    zones = tuple(Disc(centre=Place(north_m=0.0, east_m=east_m), radius_m=3.0) for east_m in (-8.0, 8.5, 90.0))
-    fencing, estimate = between(*zones)
-    room, uncapped = 0.5 * HULL_M, 12.0 + HULL_M
-    assert needed_m(fencing, estimate) == pytest.approx([5.0 - room, 5.5 - room, uncapped])
-    for east_m in (-0.1, -0.3, 0.2):  # nearer to one of them by less than the room: they ask for no less
-        moved = msgspec.structs.replace(estimate, east_m=east_m)
-        needed = needed_m(fencing, moved)
-        assert needed[0] > 5.0 - room - 1e-3
-        assert needed[1] > 5.5 - room - 1e-3
-    wider = msgspec.structs.replace(estimate, north_m=4.0)
-    assert needed_m(fencing, wider)[0] == pytest.approx(math.hypot(4.0, 8.0) - 3.0 - room)
-    assert needed_m(*between(zones[1])) == pytest.approx([uncapped])  # one zone alone: the vehicle leaves
-
-
-@pytest.mark.parametrize("margin_m", [0.2, 1.0])
-def test_between_walls_that_are_too_near_for_their_margins_the_hull_stays_free(margin_m: float) -> None:
+def test_between_walls_that_are_too_near_for_their_margins_the_hull_stays_free() -> None:
     """There is 0.3 m to either side of the hull: with penalties that cancel, the current led it 0.2 m into one."""
     corners = ((-5.0, 0.0), (15.0, 0.0), (15.0, 3.0), (-5.0, 3.0))
     sides = ([(n, side * (e + HULL_M + 0.3)) for n, e in corners] for side in (-1.0, 1.0))
-    fence, of = msgspec.structs.replace(walls(*sides), margin_m=margin_m), controller(Point(north_m=8.0, east_m=0.0))
+    fence, of = msgspec.structs.replace(walls(*sides), margin_m=1.0), controller(Point(north_m=8.0, east_m=0.0))
     of.set_fence(fence)
     track, plans = fly(of, 120, (0.0, 0.08))
     assert hull_clearance(fence, track) > 0.03
     assert all(plan.solve.status is SolveStatus.SOLVED for plan in plans)
-
-
-def test_zones_ask_for_hull_and_margin_at_least_and_for_less_where_there_is_less() -> None:
-    stated, slack = HULL_M + 0.5, 0.1 * HULL_M
-    near = tuple(Disc(centre=Place(north_m=0.0, east_m=e), radius_m=3.0) for e in (-3.1 - stated, 3.1 + stated))
-    assert needed_m(*between(*near)) == pytest.approx([stated, stated])  # there is 10 cm more than that
-    fencing, estimate = between(*(Disc(centre=Place(north_m=0.0, east_m=e), radius_m=3.0) for e in (-8.0, 8.5)))
-    away = msgspec.structs.replace(estimate, north_m=60.0)
-    assert needed_m(fencing, away) == pytest.approx([12.0 + HULL_M] * 2)
-    assert needed_m(fencing, estimate) == pytest.approx([5.0 + slack, 5.5 + slack])
-
-
-def test_targets_are_led_round_a_zone_that_a_later_one_lies_behind() -> None:
-    fencing = Fencing(CRAFT, np.arange(31) * 1_000_000_000)
-    fencing.set_fence(disc(12.0, 0.5, 3.0))
-    target = np.zeros((31, 3))
-    target[:30, 0] = np.repeat([2.0, 20.0], 15)
-    beside = target + np.array([0.0, 30.0, 0.0])
-    fencing.bend(np.zeros(2), np.zeros(2), target, limited=False)
-    zones = pack_zones(disc(12.0, 0.5, 3.0))
-    assert clearances(zones, target[:30, :2].copy()).min() > HULL_M + 0.49
-    assert np.abs(target[:30, 1]).max() > 3.0
-    wanted = beside.copy()
-    fencing.bend(np.array([0.0, 30.0]), np.zeros(2), beside, limited=False)
-    np.testing.assert_array_equal(beside, wanted)
 
 
 def test_a_report_says_what_the_hull_is_in_and_how_many_rows_a_plan_lacks() -> None:
@@ -325,29 +157,6 @@ def test_a_report_says_what_the_hull_is_in_and_how_many_rows_a_plan_lacks() -> N
         assert (len(report.in_margin), len(report.inside), min(report.exceeded, 1)) == (in_margin, inside, exceeded)
 
 
-def test_obstacles_of_a_cycle_are_where_they_are_at_the_start_of_the_plan() -> None:
-    fencing = Fencing(CRAFT, np.arange(3) * 300_000_000)
-    ferry = Obstacle(
-        id=7, t_ns=0, north_m=10.0, east_m=-8.0, velocity_north_mps=0.5, velocity_east_mps=0.0, radius_m=1.0
-    )
-    fencing.add_obstacles(Obstacles(t_ns=0, obstacles=(ferry,)))
-    assert not fencing.predict_obstacles(2_000_000_000)  # it moves: no path leads round it
-    assert fencing.scene.discs[0, :2].tolist() == pytest.approx([11.0, -8.0])
-
-
-def test_between_zones_that_ask_for_more_than_there_is_every_cycle_is_solved() -> None:
-    zones = tuple(
-        Disc(centre=Place(north_m=n, east_m=e), radius_m=3.0) for n, e in ((-3.5, -8.0), (3.5, -8.0), (0.0, 8.0))
-    )
-    of, rng, (_, estimate) = controller(Point(north_m=0.0, east_m=0.0)), np.random.default_rng(1), between(*zones)
-    of.set_fence(Fence(margin_m=0.5, keep_out_disc=zones))
-    for _ in range(60):
-        north_m, east_m = rng.normal(scale=0.02, size=2)
-        plan = of.plan(msgspec.structs.replace(estimate, north_m=float(north_m), east_m=float(east_m)))
-        assert plan.solve.status is SolveStatus.SOLVED, plan.solve.why
-        estimate = msgspec.structs.replace(estimate, t_ns=estimate.t_ns + 300_000_000)
-
-
 def test_a_fence_needs_the_hull_and_a_rejected_one_changes_nothing() -> None:
     bare = Controller(msgspec.structs.replace(PAPER, hull=None), Point(north_m=1.0, east_m=0.0))
     with pytest.raises(ConfigError, match="hull"):
@@ -360,23 +169,6 @@ def test_a_fence_needs_the_hull_and_a_rejected_one_changes_nothing() -> None:
     np.testing.assert_array_equal(zone.vertices_m, [[10.0, 0.0]])
     of.set_fence(None)
     assert of.plan(drifting()).fence is None
-
-
-def test_it_avoids_a_moving_obstacle_and_says_when_it_is_dropped() -> None:
-    of, estimate = controller(), drifting()
-    crossing = Obstacle(
-        id=7, t_ns=0, north_m=10.0, east_m=-8.0, velocity_north_mps=0.0, velocity_east_mps=0.35, radius_m=1.0
-    )
-    of.add_obstacles(Obstacles(t_ns=0, obstacles=(crossing,)))
-    least, dropped = math.inf, []
-    for _ in range(MAX_AGE_NS // 300_000_000 + 3):
-        plan = of.plan(estimate)
-        east_m = crossing.east_m + crossing.velocity_east_mps * estimate.t_ns * 1e-9
-        least = min(least, math.hypot(estimate.north_m - 10.0, estimate.east_m - east_m) - 1.0 - HULL_M)
-        dropped += plan.fence.dropped if plan.fence is not None else ()
-        estimate = advance(CRAFT, estimate, plan, duration_s=0.3)
-    assert least > 0.3
-    assert dropped == [7]
 
 
 def test_an_obstacle_from_the_future_is_dropped_and_a_current_one_avoided() -> None:
@@ -410,29 +202,13 @@ def at_anchor(t_ns: int, number: int = 7) -> Obstacles:
     return Obstacles(t_ns=t_ns, obstacles=(drifts,))
 
 
-@pytest.mark.parametrize("every", [7, 33], ids=["2 s", "10 s"])
-def test_a_path_leads_round_an_obstacle_at_anchor(every: int) -> None:
-    """Otherwise the target waits behind it for a vehicle that stands in front of it."""
-    of, estimate, track = controller(line(24.0)), drifting(), []
-    for cycle in range(360):
-        if cycle % every == 0:
-            of.add_obstacles(at_anchor(estimate.t_ns))
-        plan = of.plan(estimate)
-        track.append((estimate.north_m - 12.0, estimate.east_m - 0.01 * estimate.t_ns * 1e-9))
-        estimate = advance(CRAFT, estimate, plan, duration_s=0.3)
-    assert np.hypot(*np.array(track).T).min() > 1.0 + 2.0 * HULL_M
-    assert plan.progress == pytest.approx(1.0)
-    assert (estimate.north_m, estimate.east_m) == pytest.approx((24.0, 0.0), abs=0.3)
-
-
 @pytest.mark.parametrize(
     "reported_kn",
     [
         lambda k: (0.1 * math.cos(2.4 * k), 0.1 * math.sin(2.4 * k)),
-        lambda k: (0.1 * (k % 2), 0.0),
         lambda _: (0.0, 0.117),
     ],
-    ids=["any direction", "now and then", "constant"],
+    ids=["any direction", "constant"],
 )
 def test_a_path_leads_round_an_obstacle_at_anchor_with_a_reported_speed(reported_kn) -> None:
     """AIS has steps of 0.1 kn, which is more than a tenth of the vehicle's top speed."""
@@ -510,8 +286,7 @@ def test_a_fence_set_or_removed_under_way_keeps_the_progress() -> None:
     assert np.diff(progress).max() < 0.01
 
 
-@pytest.mark.parametrize("water", [(0.0, 0.0), (-0.1, 0.05)], ids=["still", "back"])
-def test_before_a_target_without_a_way_to_it_the_vehicle_rests(water: Pair) -> None:
+def test_before_a_target_without_a_way_to_it_the_vehicle_rests() -> None:
     """In the last 30 s it stays where it is, with no more thrust than the current needs and a tenth."""
     closed = [
         [(8.0, -4.0), (8.0, 4.0), (9.0, 4.0), (9.0, -4.0)],
@@ -519,7 +294,7 @@ def test_before_a_target_without_a_way_to_it_the_vehicle_rests(water: Pair) -> N
         [(8.0, -4.0), (16.0, -4.0), (16.0, -5.0), (8.0, -5.0)],
         [(8.0, 4.0), (16.0, 4.0), (16.0, 5.0), (8.0, 5.0)],
     ]
-    fence, of = walls(*closed), controller(Point(north_m=12.0, east_m=0.0))
+    fence, of, water = walls(*closed), controller(Point(north_m=12.0, east_m=0.0)), (-0.1, 0.05)
     of.set_fence(fence)
     track, plans = fly(of, 500, water)
     assert hull_clearance(fence, track) > 0.15
@@ -548,12 +323,11 @@ def test_a_corridor_keeps_the_vehicle_nearer_to_its_path_at_a_corner() -> None:
     assert farthest_m(0.05) < 0.051
 
 
-@pytest.mark.parametrize("north_m", [19.0, 20.0, 21.0])
-def test_a_plan_that_no_other_one_follows_stops_before_a_wall(north_m) -> None:
+def test_a_plan_that_no_other_one_follows_stops_before_a_wall() -> None:
     slow_turner = msgspec.structs.replace(Vehicle.load("low-yaw"), hull=CRAFT.hull)
     wall, of = (
         walls([(12, -3), (13, -3), (13, 8), (12, 8)]),
-        Controller(slow_turner, Point(north_m=north_m, east_m=0.0)),
+        Controller(slow_turner, Point(north_m=20.0, east_m=0.0)),
     )
     of.set_fence(wall)
     estimate, least_m = drifting(), math.inf
@@ -564,18 +338,6 @@ def test_a_plan_that_no_other_one_follows_stops_before_a_wall(north_m) -> None:
         least_m = min(least_m, hull_clearance(wall, alone))
         estimate = advance(slow_turner, estimate, plan, duration_s=0.3)
     assert least_m > -0.05  # a tenth of the margin: it may enter between two of the times that are looked at
-
-
-def test_margins_grow_with_the_uncertainty_of_a_late_estimate() -> None:
-    fencing = Fencing(CRAFT, np.arange(3) * 300_000_000)
-    fencing.set_fence(disc(10.0, 0.0, 3.0))
-    estimate = drifting()
-    start = Prediction(CRAFT).state_at(estimate, estimate.t_ns, SentCommands(CRAFT, 300_000_000))
-    needed_m = []
-    for growth_m in (0.0, 0.1, 1.0):
-        fencing.update(start, estimate, growth_m)
-        needed_m.append(float(fencing.scene.need[0]) - HULL_M)
-    assert needed_m == pytest.approx([0.5, 0.5, 3.0])  # the margin, or three standard deviations
 
 
 def test_margins_grow_by_what_the_model_s_error_carries_the_vehicle_until_it_stops() -> None:
@@ -628,22 +390,3 @@ def test_a_plan_without_control_says_when_the_vehicle_drifts_into_a_zone() -> No
     away = of.plan(drifting((0.0, -0.2)), t_ns=estimate.t_ns + 30_000_000_000)
     assert away.fence is not None
     assert away.fence.time_to_zone_ns is None
-
-
-@pytest.mark.parametrize(("ship_mps", "closing_mps"), [(0.0, 0.1), (-0.4, 0.5), (0.05, 0.05), (0.2, None)])
-def test_a_plan_without_control_says_when_the_vehicle_drifts_into_an_obstacle(ship_mps, closing_mps) -> None:
-    of, estimate = controller(Point(north_m=0.0, east_m=0.0)), drifting((0.0, 0.1))
-    ship = Obstacle(
-        id=3, t_ns=0, north_m=0.0, east_m=17.0, velocity_north_mps=0.0, velocity_east_mps=ship_mps, radius_m=1.0
-    )
-    of.add_obstacles(Obstacles(t_ns=0, obstacles=(ship,)))
-    assert of.plan(estimate).fence is not None
-    late = of.plan(estimate, t_ns=estimate.t_ns + 30_000_000_000)
-    assert late.origin is not PlanOrigin.SOLVED
-    assert late.fence is not None
-    if closing_mps is None:
-        assert late.fence.time_to_zone_ns is None
-        return
-    age_s = late.t_ns[0] * 1e-9
-    gap_m = 17.0 + ship_mps * age_s - late.states[0, 1] - 1.0 - HULL_M
-    assert late.fence.time_to_zone_ns == pytest.approx(max(gap_m, 0.0) / closing_mps * 1e9, rel=0.02)

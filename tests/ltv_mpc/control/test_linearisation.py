@@ -12,9 +12,7 @@ from ltv_mpc.control.linearisation import (
     linearise,
     linearise_along,
     roll_out,
-    velocity_over_ground,
 )
-from ltv_mpc.vehicle.dynamics import rates
 from ltv_mpc.vehicle.flow import advance_stage, lag_table
 
 P = Vehicle.load("paper").coefficients()
@@ -81,17 +79,3 @@ def test_an_input_that_is_not_finite_is_named_with_its_first_index(name):
     values[1].flat[-1] = np.inf
     values[2] = np.nan
     assert describe_non_finite(lin, target) == f"{name} is not finite from index 1 on"
-
-
-def test_velocity_over_ground_and_its_derivative_are_those_of_the_motion():
-    X, _, C = trajectory(4)
-
-    def moved(x):
-        return np.array(rates(*x[2:6], 0.0, 0.0, *C[1], 0.0, 0.0, P)[:2])
-
-    velocity, slope = velocity_over_ground(X[1], C[1])
-    np.testing.assert_allclose(velocity, moved(X[1]), rtol=1e-14)
-    h = 1e-6
-    for j in (2, 3, 4):
-        e = h * np.eye(8)[j]
-        np.testing.assert_allclose(slope[:, j - 2], (moved(X[1] + e) - moved(X[1] - e)) / (2 * h), atol=1e-9)

@@ -5,22 +5,16 @@ The oracle is the controller itself, with its observer and its prediction, on a 
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
-
 import msgspec
 import numpy as np
 import pytest
 
 from ltv_mpc import Controller, ControllerConfig, CurrentProfile, Estimate, Vehicle, references
 from ltv_mpc.control.config import Disturbance, ResolvedConfig, WeightSettings
-from ltv_mpc.control.horizon_selection import MIN_TIME_SCALES, kept_share, proposed_slowness
+from ltv_mpc.control.horizon_selection import kept_share, proposed_slowness
 from ltv_mpc.control.margins import Change, Loop, steady_state
-from ltv_mpc.control.nominal_model import as_estimate
-from ltv_mpc.control.prediction import Prediction
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.scaling import characteristic_scales, default_weights
-from ltv_mpc.control.sent_commands import SentCommands
 from services.tools import vehicle_check
 from tests.ltv_mpc.reports import report
 
@@ -50,57 +44,9 @@ SHARE = 0.35
 CYCLE_NS = 300_000_000
 
 
-def with_horizon(vehicle: Vehicle, horizon_s: float) -> ResolvedConfig:
-    """Return settings with this horizon and the vehicle's own weights."""
-    return settled(ControllerConfig(horizon_s=horizon_s), vehicle)
-
-
 def is_stable(vehicle: Vehicle, config: ResolvedConfig) -> bool:
     """Return True if no pole grows in a weak or a strong current."""
     return all(Loop(vehicle, config, share).keeps() for share in (0.1, 0.2, SHARE, 0.5))
-
-
-def aside(vehicle: Vehicle, horizon_s: float, cycles: int, off_m: float = 1e-4) -> np.ndarray:
-    """Off its place to the side, bow-on in a current, after each cycle (m); at first ``off_m``."""
-    X, C = steady_state(vehicle.coefficients(), SHARE * characteristic_scales(vehicle).speed_mps)
-    profile = CurrentProfile(depth_m=np.zeros(1), north_mps=C[:1], east_mps=C[1:])
-    estimate = msgspec.structs.replace(Estimate.at_rest(east_m=off_m), current=profile)
-    controller = Controller(vehicle, references.Point(north_m=0.0, east_m=0.0), ControllerConfig(horizon_s=horizon_s))
-    commands, motion = SentCommands(vehicle), Prediction(vehicle)
-    applied, off = report(0, [*X[6:], 0.0]), []
-    for _ in range(cycles):
-        controller.add_report(applied)
-        motion.add_report(applied)
-        commands.correct(applied.t_ns, applied.command_N)
-        plan = controller.plan(estimate)
-        assert plan.origin == "solved"
-        commands.add(plan)
-        end = motion.state_at(estimate, estimate.t_ns + CYCLE_NS, commands)
-        applied = report(end.t_ns, [*end.X[6:], end.vertical_N], end.command)
-        estimate = as_estimate(end, estimate)
-        off.append(abs(estimate.east_m))
-    return np.array(off)
-
-
-def test_the_controllers_own_error_grows_as_the_largest_pole_says():
-    """While it is so small that its plans are linear in it to their ends, and once the faster modes have died away."""
-    off = aside(LIGHT, 5.1, 85, 1e-6)
-    assert off[84] < 1e-5
-    assert (off[84] / off[54]) ** (1 / 30) == pytest.approx(
-        Loop(LIGHT, with_horizon(LIGHT, 5.1), SHARE).radius(), rel=0.003
-    )
-
-
-def test_with_the_horizon_that_is_proposed_it_dies_away():
-    proposed_s, short_s = (
-        settled(ControllerConfig(), LIGHT).horizon_s,
-        MIN_TIME_SCALES * characteristic_scales(LIGHT).time_s,
-    )
-    assert is_stable(LIGHT, with_horizon(LIGHT, proposed_s))
-    assert not is_stable(LIGHT, with_horizon(LIGHT, proposed_s / 1.1))  # it is no longer than that takes
-    off = aside(LIGHT, proposed_s, 120, 1e-3)
-    assert off[119] < off[60] < 1e-3  # slowly: the hull hardly brakes a drift
-    assert aside(LIGHT, short_s, 120, 1e-3)[90:].max() > 7e-3
 
 
 def test_the_proposal_is_stable_with_the_weights_in_use():
@@ -227,17 +173,6 @@ def test_the_gain_of_the_observer_is_that_of_the_one_that_flies():
     np.testing.assert_allclose(np.diag(gain), found, rtol=0.05)
 
 
-def test_a_light_boat_rests_at_its_point_within_its_dead_time_and_not_well_beyond():
-    """From 1 m off, where the thrusts saturate."""
-    config = settled(OBSERVING, BOAT)
-    margin_s = Loop(BOAT, config, STRONG).margins().dead_time_s
-    assert margin_s > 0.2
-    inside = flown(BOAT, config, STRONG, Change(dead_time_s=0.15), off_m=1.0, cycles=200)
-    outside = flown(BOAT, config, STRONG, Change(dead_time_s=round(1.5 * margin_s, 2)), off_m=1.0, cycles=200)
-    assert np.abs(inside[170:, 1]).max() < 1e-3
-    assert np.abs(outside[170:, 1]).max() > 0.03
-
-
 def test_a_drift_that_no_thrust_controls_is_left_out_and_the_rest_of_the_loop_is_not():
     """With M_x = M_y, v + U psi is constant: three poles at 1, which rounding would take for growing ones."""
     paper = Vehicle.load("paper")
@@ -290,11 +225,3 @@ def test_the_check_names_the_current_up_to_which_the_margins_suffice():
     paper = " ".join(vehicle_check.table(vehicle_check.check(Vehicle.load("paper"))).split())
     assert "docs/robustness.md" not in paper
     assert "to the side this hull reacts at second order" in paper
-
-
-def test_the_proposed_horizon_loses_little_at_nine_of_ten_places() -> None:
-    """At places that no rule was fitted to (docs/horizon.md): at most 5 points more than the best of all rules."""
-    kept = json.loads((Path(__file__).parents[3] / "docs/horizon.json").read_text())["state known"]
-    assert kept["proposed_over_T"] == MIN_TIME_SCALES
-    excess = {name: figures["p90"] for name, figures in kept["excess_at_places_not_fitted_to"].items()}
-    assert excess["vehicle check"] <= min(excess.values()) + 0.05

@@ -138,7 +138,7 @@ def test_no_reference_starts_at_an_estimate_of_long_ago():
 LEAK = HealthState(Health.FAILSAFE, "leak")
 
 
-@pytest.mark.parametrize("age_s", [0.0, 1.0, 12.0, 30.0])
+@pytest.mark.parametrize("age_s", [0.0, 30.0])
 def test_a_caller_s_failsafe_is_one_at_every_age_of_the_estimate(age_s):
     controller, estimate = flown()
     plan = controller.plan(estimate, t_ns=estimate.t_ns + round(age_s * S), health=LEAK)
@@ -170,14 +170,6 @@ def test_before_the_first_plausible_estimate_plan_and_status_agree():
     assert plan.health == "failsafe"
     controller.plan(Estimate.at_rest(depth_m=5.0))
     assert controller.health(0) == NOMINAL
-
-
-@pytest.mark.parametrize("age_s", [0.0, 12.0, 30.0, 3600.0])
-def test_a_plan_names_the_stamp_of_its_estimate_however_old(age_s):
-    controller, estimate = flown()
-    plan = controller.plan(estimate, t_ns=estimate.t_ns + round(age_s * S))
-    assert plan.estimate_t_ns == estimate.t_ns
-    assert plan.t_ns[0] >= estimate.t_ns + round(age_s * S)
 
 
 def test_a_stamp_ahead_is_never_predicted_back():

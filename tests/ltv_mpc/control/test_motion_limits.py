@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -20,10 +18,9 @@ from ltv_mpc.control.ocp.problem import Problem
 from ltv_mpc.control.problem_data import pack_objective, unpack_objective
 from ltv_mpc.control.qp import QP, residuals
 from ltv_mpc.control.resolution import settled
-from ltv_mpc.control.solvers import make, riccati, solve_qp
+from ltv_mpc.control.solvers import make, solve_qp
 from ltv_mpc.control.solvers.osqp import OsqpSolver
-from ltv_mpc.control.solvers.sparse import EXCESS, LOWER, UPPER, SparseLayout, solution_of
-from ltv_mpc.control.solvers.sweep import Sweep
+from ltv_mpc.control.solvers.sparse import EXCESS, SparseLayout, solution_of
 from ltv_mpc.messages import Array, Estimate, SolveStatus
 from ltv_mpc.references import Line, Place, Point
 from tests.ltv_mpc.control.problems import PAPER, SOLVER_NAMES, Form, equidistant, motion, precise, solved
@@ -73,26 +70,14 @@ def test_the_penalty_is_exact(limits: MotionLimits) -> None:
     assert bought >= 1
 
 
-@pytest.mark.parametrize("limits", [YAW, BOTH, AHEAD], ids=["yaw", "both", "ahead"])
 @pytest.mark.parametrize("solver", SOLVER_NAMES)
-def test_every_solver_has_them(solver: str, limits: MotionLimits) -> None:
-    form = form_of(limits)
+def test_every_solver_has_them(solver: str) -> None:
+    form = form_of(BOTH)
     for seed in (1, 2, 3, 5, 7):
         lin, target = motion(seed, N)
-        commands, solve = solved(make(PAPER, settings(limits, solver=solver)), form, lin, target)
+        commands, solve = solved(make(PAPER, settings(BOTH, solver=solver)), form, lin, target)
         assert solve.status is SolveStatus.SOLVED, solve.why
         np.testing.assert_allclose(commands, form.optimum(lin, target), atol=0.1)
-
-
-def test_a_limit_that_is_nowhere_near_changes_nothing() -> None:
-    for seed in range(4):
-        lin, target = motion(seed, N)
-        answers = [
-            solved(make(PAPER, settings(limits)), form_of(limits), lin, target)
-            for limits in (MotionLimits(), MotionLimits.symmetric(surge_mps=20.0, yaw_rate_radps=20.0))
-        ]
-        assert answers[1].solve.iterations <= 2 * answers[0].solve.iterations
-        np.testing.assert_allclose(answers[1].commands, answers[0].commands, atol=0.01)
 
 
 @pytest.mark.parametrize("limits", [YAW, BOTH, AHEAD], ids=["yaw", "both", "ahead"])
@@ -110,53 +95,13 @@ def test_the_first_guess_of_osqp_is_the_solution(limits: MotionLimits) -> None:
     assert beyond >= 1
 
 
-def test_multipliers_are_the_slope_of_the_least_cost() -> None:
-    """What the optimum of an independent solver gains if a limit yields: finite differences."""
-    form, seen = form_of(BOTH), set()
-    for seed in range(12):
-        problem = form.problem(*motion(seed, N))
-        y = np.zeros(problem.low.shape)
-        riccati.solve(problem, Sweep.empty(problem), 60, y)
-        soft = np.argwhere((np.abs(y) > 1e-2) & (np.abs(y) < problem.penalty - 1e-2) & np.isfinite(problem.penalty))
-        layout, qp = laid_out(problem)
-        for k, i in soft[:3]:
-            dual = y[k, i]
-            side, bounds = (UPPER, qp.u) if dual > 0.0 else (LOWER, qp.l)
-            (row,) = np.flatnonzero((layout.places.kind == side) & (layout.places.source == k * y.shape[1] + i))
-            bound, costs = bounds[row], []
-            for step in (-1e-4, 1e-4):
-                bounds[row] = bound + step
-                x = precise(qp)
-                costs.append(0.5 * x @ (qp.P @ x) + qp.q @ x)
-            bounds[row] = bound
-            assert (costs[0] - costs[1]) / 2e-4 == pytest.approx(dual, rel=0.02, abs=1e-3)
-            seen.add((int(i), bool(dual > 0.0)))
-    assert len(seen) >= 3  # both states, both signs of one
-
-
-def test_a_problem_that_comes_again_begins_at_its_solution() -> None:
-    """Duals of the limits and their excesses are carried over with the others."""
-    for seed in (1, 2, 5):
-        problem = form_of(BOTH).problem(*motion(seed, N))
-        solver = OsqpSolver(settled(settings(BOTH), PAPER))
-        solver.build(problem)
-        solver.update()
-        assert solver.solve().solve.status is SolveStatus.SOLVED
-        solution = solver.arrays.x.copy(), solver.arrays.y.copy()
-        solver.shift_warm_start(0.0)
-        solver.build(problem)
-        for again, before in zip((solver.arrays.x, solver.arrays.y), solution, strict=True):
-            np.testing.assert_allclose(again, before, atol=1e-4)
-
-
-@pytest.mark.parametrize("point", [(40.0, 5.0), (-20.0, 80.0)], ids=["ahead", "abeam"])
-def test_a_target_far_away_does_not_outweigh_them(point: tuple[float, float]) -> None:
+def test_a_target_far_away_does_not_outweigh_them() -> None:
     """The duals grow with the distance of the target: with a constant penalty the vehicle was three times as fast.
 
     The linearisation lets it turn 8 to 11 % too fast for a moment: differences of rounding grow in the closed loop.
     """
     slow = ControllerConfig(limits=MotionLimits.symmetric(surge_mps=0.12, yaw_rate_radps=0.06))
-    controller = Controller(PAPER, Point(north_m=point[0], east_m=point[1]), slow)
+    controller = Controller(PAPER, Point(north_m=-20.0, east_m=80.0), slow)
     estimate, surge, yaw_rate = msgspec.structs.replace(Estimate.at_rest(), current=STILL_WATER), [], []
     for _ in range(100):
         plan = controller.plan(estimate)
@@ -257,20 +202,3 @@ def test_a_limit_of_zero_is_refused() -> None:
         with pytest.raises(msgspec.ValidationError, match=name):
             msgspec.convert({"limits": {name: 0.0}}, ControllerConfig)
     assert msgspec.convert({"limits": {"min_surge_mps": 0.0}}, ControllerConfig).limits.min_surge_mps == 0.0
-
-
-def test_a_descent_keeps_within_them_at_a_few_iterations_more(closed_loop: Callable[..., Any]) -> None:
-    def flown(limits: MotionLimits) -> tuple[Array, Array]:
-        config = ControllerConfig(limits=limits, horizon_s=5.1, effort="high")
-        seen = [closed_loop(seed, 300, config) for seed in (5, 8)]
-        rates = np.abs([estimate.yaw_rate_radps for estimates, _ in seen for estimate in estimates])
-        return rates, np.array([plan.solve.iterations for _, plans in seen for plan in plans])
-
-    rates, free = flown(MotionLimits())
-    slow, iterations = flown(MotionLimits.symmetric(yaw_rate_radps=0.06))
-    assert rates.max() > 0.12
-    assert slow.max() < 0.063  # the QP knows the motion to first order
-    assert np.mean(slow > 0.058) > 0.02  # and uses what it is given
-    assert np.median(free) == 1
-    assert np.median(iterations) <= 12
-    assert np.mean(iterations >= 400) < 0.02

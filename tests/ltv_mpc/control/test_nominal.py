@@ -8,19 +8,17 @@ import numpy as np
 import pytest
 
 from ltv_mpc import Vehicle
-from ltv_mpc.control.config import STAGE_NS, ControllerConfig
-from ltv_mpc.control.fallback import NOT_RUN, Fallback, LateralPlan, PreviousPlan
+from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.fence_clearance import NO_PATH, Scene, fence_cost
 from ltv_mpc.control.horizon_limits import HorizonLimits
-from ltv_mpc.control.nominal import PREVIOUS_PLAN, STEERED_AHEAD, choose_nominal, ramp_to
+from ltv_mpc.control.nominal import PREVIOUS_PLAN, STEERED_AHEAD, choose_nominal
 from ltv_mpc.control.ocp.cycle import Cycle
-from ltv_mpc.control.prediction import Start
 from ltv_mpc.control.problem_data import pack_constants, unpack_constants
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.geofence.allowed_path import NO_ZONES
 from ltv_mpc.geofence.fence import Fence
 from ltv_mpc.geofence.zones import pack_zones
-from ltv_mpc.messages import Array, PlanOrigin
+from ltv_mpc.messages import Array
 from tests.ltv_mpc.geofence.shapes import disc
 
 WEAK = Vehicle.load("weak-reverse")
@@ -87,19 +85,3 @@ def test_a_guess_through_a_zone_does_not_replace_a_plan_through_it(in_the_way: b
     start = np.array([0.0, 6.0, 0.3, 0.0, -math.pi / 2, 0.0, *ahead, *ahead])
     kind = choose_nominal(cycle, start, np.tile(ahead, (N + 1, 1)), 0.0, was_clear=True)
     assert kind == expected
-
-
-def test_a_plan_that_no_other_follows_coasts_from_its_end_on() -> None:
-    """The motion is that with zero thrust as the goal from the first knot on after the timeout."""
-    packed = pack_constants(WEAK, CONFIG.weights, CONFIG.knots, 0.3)
-    knots_ns = np.round(CONFIG.knots * STAGE_NS).astype(np.int64)
-    fallback = Fallback(WEAK, packed, PreviousPlan(knots_ns), CONFIG.period_ns)
-    start, C = Start(0, np.zeros(10), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), np.zeros((N + 1, 2))
-    X, U, coasting, V = np.empty((N + 1, 8)), np.empty((N + 1, 2)), np.empty((N + 1, 8)), np.empty((N + 1, 2))
-    ramp_to(packed, start.lateral, np.full((N + 1, 2), 20.0), C, X, U)
-    goal = U.copy()
-    goal[knots_ns > max(WEAK.plan_timeout_s * 1e9, 2.5 * CONFIG.period_ns)] = 0.0
-    ramp_to(packed, start.lateral, goal, C, coasting, V)
-    plan = fallback.coasting(start, C, LateralPlan(X, U, PlanOrigin.SOLVED, NOT_RUN, ""))
-    np.testing.assert_array_equal(plan.X, coasting)
-    assert plan.X[-1, 0] < X[-1, 0]

@@ -29,9 +29,8 @@ from ltv_mpc.messages import (
     Plan,
     RejectedFrame,
 )
-from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.safety.mission_policy import MissionSettings
-from ltv_mpc.validation import rejection_reason
+from tests.ltv_mpc.control.test_restore import Flight
 from tests.ltv_mpc.reports import report
 
 PAPER = msgspec.structs.replace(Vehicle.load("paper"), failsafe_vertical_N=-20.0)
@@ -41,35 +40,23 @@ HERE = Estimate.at_rest(north_m=0.3, heading_rad=0.4, depth_m=2.0)
 ORIGIN = references.Point(north_m=0.0, east_m=0.0, depth_m=2.0)
 
 
-class Craft:
+class Craft(Flight):
     """Controller node of a craft that does not move, whose messages a test chooses."""
 
     def __init__(self, reference=ORIGIN, **mission) -> None:
-        self.config = ControllerConfig(mission=MissionSettings(**mission))
-        self.node = ControllerNode(PAPER, reference, self.config)
+        config = ControllerConfig(mission=MissionSettings(**mission))
+        super().__init__(reference, node=ControllerNode(PAPER, reference, config), estimate=HERE)
         self.t_ns = 0
-        self.estimate: Estimate | None = HERE
-        """What navigation publishes with the time of each cycle; None: nothing."""
-        self.plan: Plan | None = None
-        self.answer: Acknowledgement | None = None
-        self.state: ControllerState | None = None
-        self._sequence = 0
+
+    @property
+    def answer(self) -> Acknowledgement:
+        return self.answers[-1]
 
     def step(self, *messages: Message) -> Plan | None:
-        """Run a cycle on these messages and an estimate of now."""
+        """Run a cycle on these messages, and on an estimate of now if navigation publishes."""
         self.t_ns += PERIOD_NS
         fresh = () if self.estimate is None else (msgspec.structs.replace(self.estimate, t_ns=self.t_ns),)
-        plan = None
-        for message in self.node.step(self.t_ns, [self._arrival(message) for message in (*messages, *fresh)]):
-            assert rejection_reason(message) is None
-            match message:
-                case Plan():
-                    plan = self.plan = message
-                case Acknowledgement():
-                    self.answer = message
-                case ControllerState():
-                    self.state = message
-        return plan
+        return self.run(self.t_ns, *messages, *fresh)
 
     def fly(self, seconds: float, *messages: Message) -> Plan | None:
         """Run cycles with these messages in each."""
@@ -80,18 +67,13 @@ class Craft:
     def command(self, action: Action, *messages: Message, **fields) -> str:
         """Send a command; return why it was refused."""
         self.step(Command(command_id=1, action=action, **fields), *messages)
-        assert self.answer is not None
         return self.answer.why
-
-    def _arrival(self, message: Message) -> ReceivedMessage:
-        self._sequence += 1
-        return ReceivedMessage(message, 1, self._sequence, self.t_ns)
 
 
 def applied(craft: Craft, health: Health = Health.NOMINAL) -> Applied:
     """Return the report of actuators that follow the last plan."""
     t_ns = craft.t_ns + PERIOD_NS
-    command_N = (0.0, 0.0, 0.0) if craft.plan is None else craft.plan.thrust_at(t_ns)
+    command_N = craft.plans[-1].thrust_at(t_ns) if craft.plans else (0.0, 0.0, 0.0)
     return msgspec.structs.replace(report(t_ns, command_N), health=health)
 
 
@@ -258,12 +240,6 @@ def test_a_reference_that_has_not_started_does_not_block():
     assert Craft(later).command(Action.ARM) == ""
 
 
-def test_all_failing_checks_are_named_at_once():
-    craft = Craft(battery_min_V=10, leak=True)
-    why = refused(craft, Battery(voltage_V=9.0), applied(craft, Health.FAILSAFE))
-    assert all(f"{name}: " in why for name in ("battery", "leak input", "actuators"))
-
-
 def test_an_armed_controller_accepts_arm_without_checks():
     craft = Craft()
     assert craft.command(Action.ARM) == ""
@@ -302,29 +278,6 @@ def test_the_reference_waits_while_the_position_is_held():
     craft.fly(60.0)
     assert craft.command(Action.CLEAR) == ""
     assert craft.step().reference_m == pytest.approx(before.reference_m, abs=2.0)
-
-
-def test_a_leak_lets_the_vehicle_go_to_its_failsafe_until_it_is_disarmed():
-    craft = Craft(leak=True)
-    assert craft.command(Action.ARM, Leak(detected=False)) == ""
-    craft.step(Leak(detected=True))
-    plan = craft.fly(3.0, Leak(detected=False))
-    assert (plan.origin, plan.health) == (PlanOrigin.ZERO, Health.FAILSAFE)
-    assert plan.why == plan.health_why == "surface: leak detected"
-    assert plan.thrust_N[-1].tolist() == [0.0, 0.0, -20.0]
-    assert craft.command(Action.DISARM) == ""
-    plan = craft.step()
-    assert plan.thrust_N[-1].tolist() == [0.0, 0.0, 0.0]
-    assert plan.health is Health.NOMINAL
-
-
-def test_clear_is_refused_while_the_cause_is_present():
-    craft = Craft(leak=True)
-    craft.command(Action.ARM, Leak(detected=False))
-    craft.step(Leak(detected=True))
-    assert craft.command(Action.CLEAR) == "the cause is still present: leak detected: end it, or `disarm`"
-    assert craft.command(Action.CLEAR, Leak(detected=False)) == ""
-    assert craft.step().origin is PlanOrigin.SOLVED
 
 
 def test_a_pilot_keeps_the_thrusters_until_he_is_silent():
@@ -377,7 +330,7 @@ def test_a_restarted_controller_keeps_holding_and_its_mission_time():
     after = Craft(references.load("line"), **settings)
     after.t_ns = before.t_ns
     after.estimate = ELSEWHERE
-    after.step(before.state)
+    after.step(before.states[-1])
     plan = after.step()
     assert plan.health_why == "hold: no sign of the operator for 5 s"
     assert plan.reference_m == pytest.approx((7.0, -4.0), abs=0.01)

@@ -14,6 +14,7 @@ from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.messages import Applied, CycleTiming
 from ltv_mpc.vehicle.dynamics import heave_acceleration, rates
 from tests.ltv_mpc.plans import plan_of
+from tests.ltv_mpc.reports import report
 
 PAPER = Vehicle.load("paper")
 P = PAPER.coefficients()
@@ -46,20 +47,7 @@ def estimate(t_ns: int) -> Estimate:
 
 
 def applied(t_ns: int, thrust=(0.0, 0.0, 0.0), **changes) -> Applied:
-    fields = {
-        "t_ns": t_ns,
-        "thrust_N": thrust,
-        "command_N": thrust,
-        "command_slew_N_per_s": (0.0, 0.0, 0.0),
-        "plan_epoch": 1,
-        "plan_sequence": 0,
-        "plan_cycle_t_ns": 0,
-        "plan_received_t_ns": 0,
-        "plan_late": False,
-        "plans_late": 0,
-        "plans_rejected": 0,
-    }
-    return Applied(**fields | changes)
+    return report(t_ns, thrust, **{"plan_epoch": 1, "plan_sequence": 0} | changes)
 
 
 def test_the_prediction_agrees_with_an_independent_integration():
@@ -90,8 +78,8 @@ def test_the_prediction_agrees_with_an_independent_integration():
     np.testing.assert_allclose(start.command, commands.at(np.array([1_000_000_000]))[0])
 
 
-@pytest.mark.parametrize("lag_s", [0.1, 0.3, 3.0])
-@pytest.mark.parametrize("seconds", [0.05, 0.1, 1.0, 30.0])
+@pytest.mark.parametrize("lag_s", [0.1, 3.0])
+@pytest.mark.parametrize("seconds", [0.1, 30.0])
 def test_without_reports_the_thrust_follows_the_lag_from_rest_before_the_first_plan(lag_s: float, seconds: float):
     """By hand: 50 N (1 - exp(-t / lag)) after a step of the command."""
     slow = {"lag_s": lag_s}
@@ -121,13 +109,6 @@ def test_commands_are_kept_for_eight_lags_and_since_the_estimate_in_use(lag_s: f
         seen_ns = max(t_ns - round(age_s * 1e9), 0)
         commands.add(plan_of(t_ns, np.ones((2, 3)), 3_000_000_000, estimate_t_ns=seen_ns))
     assert (99.5 - commands.oldest[0] * 1e-9) == pytest.approx(kept_s, abs=0.51)
-
-
-def test_a_report_corrects_the_thrust_that_the_lag_predicts():
-    prediction, commands = Prediction(PAPER), sent()
-    prediction.add_report(applied(200_000_000, (40.0, -30.0, 0.0)))
-    reported = prediction.state_at(estimate(200_000_000), 200_000_000, commands)
-    np.testing.assert_allclose(reported.X[6:], [40.0, -30.0])
 
 
 def test_a_report_newer_than_the_estimate_does_not_hide_the_one_before_it():
@@ -165,10 +146,6 @@ def timing(compute_ns: int) -> CycleTiming:
     return CycleTiming(t_ns=0, compute_ns=compute_ns, compute_wall_ns=0, estimate_age_ns=0, stage_us={})
 
 
-def test_before_any_measurement_the_setting_is_expected():
-    assert Delay(50_000_000, 1.0).expected_ns == 50_000_000
-
-
 def test_the_computing_time_is_used_until_the_actuators_report():
     delay = Delay(0, 1.0)
     delay.add_timing(timing(400))
@@ -182,12 +159,6 @@ def received(delay: Delay, *took_ns: int) -> None:
         at = 1_000_000 * (k + 1) + len(took_ns)
         for _ in range(3):  # the actuators repeat their report
             delay.add_receipt(applied(10, plan_cycle_t_ns=at, plan_received_t_ns=at + took))
-
-
-def test_a_delay_that_never_varies_is_expected_as_it_is():
-    delay = Delay(0, 0.98)
-    received(delay, *[700] * 10)
-    assert delay.expected_ns == 700
 
 
 def test_the_expected_delay_is_at_least_min_ns():
@@ -211,13 +182,6 @@ def test_a_receipt_after_the_end_of_the_plan_is_not_counted():
     assert delay.expected_ns == 50
     received(delay, *[1000] * 21)
     assert delay.expected_ns == 1000
-
-
-def test_measurements_outside_the_window_are_dropped():
-    delay = Delay(0, 1.0)
-    received(delay, 9000)
-    received(delay, *[7] * 100)
-    assert delay.expected_ns == 7
 
 
 @pytest.mark.parametrize("share", [0.02, 0.05])
@@ -251,8 +215,7 @@ def test_a_change_of_the_delay_is_followed_after_five_longer_or_twenty_shorter_o
     assert measure(20, 50e6) < 70_000_000
 
 
-@pytest.mark.parametrize("sequence", [-1])
-def test_a_report_without_an_accepted_plan_is_no_receipt(sequence):
+def test_a_report_without_an_accepted_plan_is_no_receipt():
     delay = Delay(5, 1.0)
-    delay.add_receipt(applied(10, plan_sequence=sequence))
+    delay.add_receipt(applied(10, plan_sequence=-1))
     assert delay.expected_ns == 5

@@ -82,12 +82,6 @@ def test_the_growth_is_that_of_draws(covariance, bias, seconds):
     assert growth == pytest.approx(drawn(seconds * S, covariance, current_sd) - at_first, rel=0.15)
 
 
-@pytest.mark.parametrize("covariance", [None, CORRELATED])
-def test_at_the_time_of_the_estimate_nothing_has_grown(covariance):
-    estimate = msgspec.structs.replace(MOVING, covariance=covariance)
-    assert growth_m(Prediction(PAPER), estimate, 0, sent(), learning()) == pytest.approx(0, abs=1e-9)
-
-
 def test_a_random_walk_of_the_current_adds_up():
     """By hand: the position of a drifting vehicle has the variance q^2 t^3 / 3 from a walk of q."""
     bias = learning(0.02)
@@ -102,10 +96,3 @@ def test_the_standard_deviation_of_a_told_current_counts_at_the_depth_of_the_veh
     growth = growth_m(Prediction(PAPER), estimate, 6 * S, sent(), NEVER)
     assert growth == pytest.approx(drawn(6 * S, None, 0.1), rel=0.15)
     assert growth > 1.5 * growth_m(Prediction(PAPER), MOVING, 6 * S, sent(), NEVER)
-
-
-def test_a_bias_that_is_not_used_adds_nothing():
-    """An estimate with a profile of its own follows one without."""
-    bias = learning()
-    bias.correct(MOVING, Prediction(PAPER), SentCommands(PAPER))
-    assert not bias.covariance_of_mean(5.0).any()

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import math
-import os
-import subprocess
-import sys
 
 import msgspec
 import pytest
@@ -31,23 +27,6 @@ def test_controller_and_simulation_use_the_horizon_that_the_check_proposes(name:
     run_config = resolve("descent", [Override("test", [f"vehicle={name}"])])
     assert run_config.controller.horizon_s == proposed_s
     assert f"horizon {proposed_s:g} s" in run_config.notes[0]
-
-
-def test_plain_python_proposes_the_same_horizons_as_compiled_code() -> None:
-    """A run's supervisor uses the one, its processes the other."""
-    some = SHIPPED[:2]
-    program = f"""
-from ltv_mpc import ControllerConfig, Vehicle
-from ltv_mpc.control.resolution import settled
-print([settled(ControllerConfig(), Vehicle.load(name)).horizon_s for name in {some}])"""
-    plain = subprocess.run(
-        (sys.executable, "-P", "-c", program),
-        env={**os.environ, "NUMBA_DISABLE_JIT": "1"},
-        stdout=subprocess.PIPE,
-        text=True,
-        check=True,
-    )
-    assert json.loads(plain.stdout) == [settled(ControllerConfig(), Vehicle.load(name)).horizon_s for name in some]
 
 
 def test_a_given_horizon_and_a_given_weight_stay() -> None:

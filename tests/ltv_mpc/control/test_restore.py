@@ -16,17 +16,14 @@ from ltv_mpc.messages import (
     Authority,
     Command,
     ControllerState,
-    CurrentProfile,
     CycleTiming,
     DisturbanceState,
     Health,
     Message,
-    ModelCheck,
 )
 from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.safety.plan_gate import PlanGate, PlanVerdict
 from ltv_mpc.validation import rejection_reason
-from tests.ltv_mpc.reports import report
 
 PAPER = Vehicle.load("paper")
 PERIOD_NS = 300_000_000
@@ -51,23 +48,29 @@ class Flight:
         self.messages: list[Message] = []  # all
         self._sequence = 0
 
-    def arrival(self, signal: Message) -> ReceivedMessage:
+    def arrival(self, signal: Message, t_ns: int) -> ReceivedMessage:
         self._sequence += 1
-        return ReceivedMessage(signal, 1, self._sequence, self.estimate.t_ns)
+        return ReceivedMessage(signal, 1, self._sequence, t_ns)
 
-    def step(self, *messages: Message) -> Plan:
-        """Run one cycle, and move the vehicle by it."""
-        inbox = [self.arrival(message) for message in (*messages, self.estimate)]
-        for signal in self.node.step(self.estimate.t_ns, inbox):
+    def run(self, t_ns: int, *messages: Message) -> Plan | None:
+        """Run one cycle with these messages alone."""
+        plan = None
+        for signal in self.node.step(t_ns, [self.arrival(message, t_ns) for message in messages]):
             assert rejection_reason(signal) is None
             self.messages.append(signal)
             match signal:
                 case Plan():
+                    plan = signal
                     self.plans.append(signal)
                 case ControllerState():
                     self.states.append(signal)
                 case Acknowledgement():
                     self.answers.append(signal)
+        return plan
+
+    def step(self, *messages: Message) -> Plan:
+        """Run one cycle with the estimate of now, and move the vehicle by it."""
+        self.run(self.estimate.t_ns, *messages, self.estimate)
         self.estimate = advance(PAPER, self.estimate, self.plans[-1], duration_s=0.3)
         return self.plans[-1]
 
@@ -333,23 +336,6 @@ def test_estimates_out_of_order_are_ignored_and_counted():
         assert plan.estimate_t_ns == t
     state = node.inputs()[0]
     assert (state.input, state.rejected, state.alive, state.valid) == ("estimate", 2, True, True)
-
-
-def test_a_report_with_a_stamp_from_the_future_does_not_block_later_ones():
-    """One stamp is 200 s ahead; the model is checked again from the next report on."""
-    still_water = CurrentProfile(depth_m=np.zeros(1), north_mps=np.zeros(1), east_mps=np.zeros(1))
-    flight = armed(references.load("line"), 5)
-
-    def applied(ahead_ns: int) -> Message:
-        return report(flight.estimate.t_ns + ahead_ns, flight.plans[-1].thrust_at(flight.estimate.t_ns))
-
-    for ahead_ns in (0, 0, 200 * S, *[0] * 8):
-        flight.estimate = msgspec.structs.replace(flight.estimate, current=still_water)
-        flight.step(applied(ahead_ns))
-    checks = [signal.t_ns for signal in flight.messages if isinstance(signal, ModelCheck)]
-    assert checks[-1] > flight.estimate.t_ns - 2 * S
-    state = flight.node.inputs()[1]
-    assert (state.input, state.rejected, state.alive, state.valid) == ("applied", 1, True, True)
 
 
 def test_health_follows_the_ages_of_estimate_and_reports():

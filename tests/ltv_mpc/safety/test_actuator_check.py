@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections import deque
 from typing import NamedTuple
 
@@ -154,10 +153,7 @@ class Release:
     ("current", "settings"),
     [
         (CURRENTS[0], {}),
-        (CURRENTS[0], {"config": ControllerConfig(horizon_s=2.7)}),
         (CURRENTS[1], {"names_plans": False}),
-        (CURRENTS[1], {"config": ControllerConfig(period_s=0.1)}),
-        (CURRENTS[1], {"plan_delay_s": 0.6}),
     ],
     ids=str,
 )
@@ -183,16 +179,6 @@ def test_what_was_learned_before_late_reports_showed_the_release_is_taken_back()
     assert max(abs(cycle.learned_mps).max() for cycle in cycles if cycle.t_s >= since_s) <= 0.05
 
 
-def test_the_reason_has_the_commands_of_both_as_they_were_when_it_began():
-    cycles = Loop(delivered=Release()).run(12.0)
-    (why,) = {cycle.plan.health_why for cycle in cycles} - {""}
-    assert re.fullmatch(
-        r"the actuators command 0\.0 / 0\.0 N, the plan in force -?\d+\.\d / -?\d+\.\d N: "
-        r"released, or driven by somebody else\?",
-        why,
-    )
-
-
 def test_a_report_that_says_why_no_plan_is_followed_degrades_until_it_ends():
     """Also where the command happens to be that of the plan: somebody else may drive."""
     check, plan = ActuatorCheck(BOAT, 300_000_000), Controller(BOAT, POINT).plan(Estimate.at_rest())
@@ -212,28 +198,25 @@ WRONG = {
 
 
 @pytest.mark.parametrize("wrong", WRONG.values(), ids=WRONG)
-@pytest.mark.parametrize("names_plans", [True, False])
-def test_commands_that_differ_from_the_plan_are_noticed(wrong, names_plans):
+def test_commands_that_differ_from_the_plan_are_noticed(wrong):
     def delivered(truth, command_N):
         return wrong(command_N) if truth.t_ns >= 3e9 else command_N
 
-    degraded = degraded_s(Loop(delivered=delivered, names_plans=names_plans).run(9.0))
+    degraded = degraded_s(Loop(delivered=delivered).run(9.0))
     assert 4.0 < degraded[0] <= 4.5
 
 
 LEGAL = (
     {"report_late_s": 1.0},
-    {"plan_delay_s": 0.9},
     {"plan_delay_s": 0.9, "names_plans": False},
     {"plan_delay_s": 0.8, "names_plans": False, "config": ControllerConfig(horizon_s=2.1)},
-    {"plan_delay_s": 0.5, "names_plans": False, "config": ControllerConfig(period_s=0.1)},
     {"names_plans": False, "config": ControllerConfig(period_s=1.0)},
     {"report_s": 1.0},
     {"vehicle": PAPER},
 )
 
 
-@pytest.mark.parametrize(("settings", "reference"), [*zip(LEGAL, 4 * (LINE, POINT), strict=True)], ids=str)
+@pytest.mark.parametrize(("settings", "reference"), [*zip(LEGAL, 3 * (LINE, POINT), strict=True)], ids=str)
 def test_late_reports_and_late_plans_are_no_contradiction(settings, reference):
     assert degraded_s(Loop(CURRENTS[1], start_m=(15.0, 3.0), reference=reference, **settings).run(60.0)) == []
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pytest
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
@@ -39,14 +38,6 @@ def publish(of: SourceSelector, source: Source, times_ms: range, judgement: Judg
     return [receive(of, source, t * MS, judgement) for t in times_ms]
 
 
-def test_one_message_of_another_source_changes_nothing() -> None:
-    of = SourceSelector()
-    publish(of, TRUE, range(0, 1000, 100))
-    assert not receive(of, OTHER, 950 * MS)
-    assert all(publish(of, TRUE, range(1000, 3000, 100)))
-    assert (of.active, of.contest.second(1500 * MS), of.rejected) == (TRUE, OTHER, 1)
-
-
 def test_a_second_source_is_reported_while_both_publish_and_not_after_a_restart() -> None:
     of = SourceSelector()
     publish(of, TRUE, range(0, 1000, 100))
@@ -68,55 +59,12 @@ def test_a_source_of_another_name_is_no_second_source() -> None:
     assert of.rejected == 0
 
 
-def test_a_restarted_source_is_back_within_its_silence_and_five_messages() -> None:
-    for period_ms, limit_ms in ((10, 600), (100, 600), (300, 1500)):
-        of = SourceSelector()
-        publish(of, TRUE, range(0, 3000 + 1, period_ms))
-        first = next(t for t in range(3000 + period_ms, 10_000, period_ms) if receive(of, OTHER, t * MS))
-        assert first - 3000 <= limit_ms
-
-
-def test_a_former_source_takes_over_again() -> None:
-    of = SourceSelector()
-    for k, source in enumerate((TRUE, OTHER, TRUE, OTHER)):
-        publish(of, source, range(2000 * k, 2000 * k + 1500, 100))
-        assert of.active == source
-
-
-def test_a_message_that_is_not_believed_does_not_keep_its_source_active() -> None:
-    of = SourceSelector()
-    publish(of, TRUE, range(0, 1000, 100))
-    for t in range(1000, 2000, 100):
-        receive(of, TRUE, t * MS, BAD)
-        receive(of, OTHER, t * MS)
-    assert of.active == OTHER
-
-
-def test_a_source_that_disagrees_takes_over_after_ten_seconds_of_silence() -> None:
-    of = SourceSelector()
-    publish(of, TRUE, range(0, 1000, 100))
-    assert not any(publish(of, OTHER, range(1000, 10_900, 100), ELSEWHERE))
-    assert any(publish(of, OTHER, range(10_900, 11_200, 100), ELSEWHERE))
-
-
 def test_one_disagreement_breaks_a_run() -> None:
     of = SourceSelector()
     publish(of, TRUE, range(0, 1000, 100))
     assert not any(publish(of, OTHER, range(1000, 1400, 100)))
     assert not receive(of, OTHER, 1450 * MS, BAD)
     assert not any(publish(of, OTHER, range(1500, 1900, 100)))
-
-
-def test_the_preferred_source_takes_over_after_five_seconds_of_agreement() -> None:
-    of = SourceSelector(order=("gnss", "default"))
-    publish(of, TRUE, range(0, 1000, 100))
-    switched_ms = None
-    for t in range(1000, 8000, 100):
-        receive(of, TRUE, t * MS)
-        if receive(of, GNSS, t * MS + 1) and switched_ms is None:
-            switched_ms = t - 1000
-    assert switched_ms == RETURN_NS // MS
-    assert of.active == GNSS
 
 
 def test_a_source_that_is_not_preferred_does_not_take_over_from_one_in_use() -> None:
@@ -134,28 +82,6 @@ def test_a_preferred_source_that_disagrees_does_not_take_over() -> None:
         receive(of, TRUE, t * MS)
         receive(of, GNSS, t * MS + 1, ELSEWHERE)
     assert of.active == TRUE
-
-
-def test_a_forced_source_takes_over_at_once_and_is_replaced_when_silent() -> None:
-    of = SourceSelector(order=("default", "gnss"))
-    for t in range(0, 2000, 100):
-        receive(of, TRUE, t * MS)
-        receive(of, GNSS, t * MS + 1, ELSEWHERE)
-    assert of.force("gnss", 2000 * MS) == ""
-    assert receive(of, GNSS, 2000 * MS, ELSEWHERE)
-    assert any(publish(of, TRUE, range(2000, 3500, 100)))
-    assert of.force("", 3500 * MS) == ""
-    assert of.forced == ""
-
-
-@pytest.mark.parametrize("name", ["sonar", "gnss"])
-def test_a_name_without_a_believed_message_of_the_last_ten_seconds_cannot_be_forced(name: str) -> None:
-    of = SourceSelector()
-    receive(of, TRUE, 0)
-    receive(of, GNSS, 0)
-    publish(of, TRUE, range(0, 11_000, 100))
-    assert of.force(name, 11_000 * MS) == f"no valid message of source {name} in the last 10 s; sources: default"
-    assert of.forced == ""
 
 
 class Sources(RuleBasedStateMachine):
@@ -242,5 +168,5 @@ class Sources(RuleBasedStateMachine):
             assert self.t_ns - self.used_ns <= limit
 
 
-Sources.TestCase.settings = settings(max_examples=150, stateful_step_count=30, deadline=None)
+Sources.TestCase.settings = settings(max_examples=60, stateful_step_count=30, deadline=None)
 TestSources = Sources.TestCase

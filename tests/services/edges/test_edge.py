@@ -11,6 +11,7 @@ import pytest
 from ltv_mpc.messages import Estimate, Health
 from services.bus.roles import reads, writes
 from services.bus.topics import BY_TYPE, expression
+from services.cli.app import run
 from services.edges.edge import Edge, LossCounter, Outgoing, Output, Received, Refused, StampedClock
 from services.edges.mavlink.edge import MavlinkEdge
 from services.edges.plan_follower import PlanFollower
@@ -160,3 +161,29 @@ def test_a_frame_becomes_messages_or_is_refused_and_both_are_counted() -> None:
         edge.refuse(Refused(f"kind {chr(0x100 + number)}: x"))
     assert edge.refused == 1005
     assert len(edge.refused_by_reason) <= 101
+
+
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        ("ros2 --topic odometry=odom", "must be NAME=/TOPIC"),
+        ("ros2 --topic odometry=/odom/**", "must be NAME=/TOPIC"),
+        ("ros2 --topic odom=/odom", "NAME one of odometry, pose"),
+        ("ros2 --topic port=/t --topic starboard=/t", "used for several rows"),
+        ("ros2 --array port,left", "must be names of port"),
+        ("ros2 --scale 0", "must be a number other than 0"),
+        ("ros2 --middleware fastdds", "must be one of ros2dds, rmw_zenoh"),
+        ("ros2 --ros-namespace a//b", "must be names joined by /"),
+        ("mavlink --autopilot serial:/dev/x", "must be udpin:HOST:PORT"),
+        ("mavlink --autopilot udpin:127.0.0.1:0", "must be udpin:HOST:PORT"),
+        ("mavlink --vehicle surface", "has no pwm_us and pwm_N"),
+        ("mavlink --signing-key /nowhere", "no such file"),
+        ("mavlink --signing-key {file}", "must be 32"),
+        ("mavlink --connect udpin:127.0.0.1:14550", "must be PROTOCOL/ADDRESS"),
+        ("mavlink --sd 1,2,3", "must be four numbers"),
+        ("mavlink --sd 1,0,0.1,0.1", "must be four numbers"),
+    ],
+)
+def test_bad_options_of_an_edge_are_refused(line: str, says: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(line.format(file=__file__).split()) == 2
+    assert says in capsys.readouterr().err

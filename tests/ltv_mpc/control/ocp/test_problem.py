@@ -9,7 +9,7 @@ import pytest
 
 from ltv_mpc.control.config import Weights
 from ltv_mpc.control.horizon_limits import HorizonLimits
-from ltv_mpc.control.ocp.problem import Problem, costates, least_surplus, optimality_error, roll_out, row_values
+from ltv_mpc.control.ocp.problem import Problem, least_surplus, optimality_error, roll_out, row_values
 from ltv_mpc.control.solvers import riccati
 from ltv_mpc.control.solvers.active_set import CONVERGED
 from ltv_mpc.control.solvers.sparse import SparseLayout, fits, solution_of, sparse_qp
@@ -84,23 +84,6 @@ def test_a_layout_says_what_does_not_fit_and_grows_by_it() -> None:
     assert fits(other, both.masks)
     p.low[1, 2] = -1.0
     assert not fits(p, both.masks)
-
-
-def test_costates_are_the_slope_of_the_least_cost_by_the_state() -> None:
-    """A change of f_k moves the next state."""
-    p = anything(3)
-    z, y = solved(p)
-    costate = np.empty((6, 3))
-    assert costates(p, z, y, costate) < 1e-6
-
-    def least(step: float) -> float:
-        moved = p._replace(f=p.f.copy())
-        moved.f[2, 1] += step
-        qp = sparse_qp(moved)
-        x = precise(qp)
-        return float(0.5 * x @ (qp.P @ x) + qp.q @ x)
-
-    assert (least(1e-4) - least(-1e-4)) / 2e-4 == pytest.approx(costate[3, 1], rel=1e-3)
 
 
 def of_vehicle(seed: int, limits: HorizonLimits):

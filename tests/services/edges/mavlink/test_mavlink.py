@@ -18,7 +18,6 @@ from ltv_mpc import config
 from ltv_mpc.geofence.fence import Fence
 from ltv_mpc.messages import Action, Applied, Command, Estimate, Health
 from ltv_mpc.vehicle.parameters import Vehicle
-from services.cli.app import run
 from services.edges.edge import Outgoing, Received, Refused
 from services.edges.mavlink.actuation import Overrides, State, channels, pwm_us
 from services.edges.mavlink.autopilot import Kind
@@ -98,8 +97,8 @@ def test_a_table_without_an_inverse_is_rejected(table: dict[str, Any], problem: 
 # --- may the edge drive? ---------------------------------------------------------------------------------------------
 
 
-def driving() -> MavlinkFlight:
-    flight = MavlinkFlight()
+def driving(**link: Any) -> MavlinkFlight:
+    flight = MavlinkFlight(**link)
     flight.fly(3.0)
     flight.arm()
     flight.command(action="arm")
@@ -114,6 +113,11 @@ def test_it_drives_an_armed_autopilot_in_manual_and_holds_the_point() -> None:
     flight.fly(30.0)
     assert farthest_m(flight.fly(10.0)) < 0.3
     assert "LTV-MPC: driving" in flight.autopilot.log
+
+
+@pytest.mark.parametrize("link", [{"v1": True}, {"key": KEY}])
+def test_an_autopilot_of_version_1_or_that_signs_is_driven(link: dict[str, Any]) -> None:
+    assert driving(**link).edge.refused == 0
 
 
 def test_without_the_ground_station_it_lets_go_and_does_not_stand_for_it() -> None:
@@ -183,7 +187,7 @@ def test_while_it_has_released_nothing_is_learned_and_then_the_boat_does_not_lun
     flight.fly(3.0)
     flight.arm()
     flight.command(action="arm")
-    flight.fly(80.0)
+    flight.fly(50.0)
     heading = flight.autopilot.boat.attitude()[2]
     flight.hull.x[0] -= 5.0 * math.cos(heading)
     flight.hull.x[1] -= 5.0 * math.sin(heading)
@@ -196,7 +200,7 @@ def test_while_it_has_released_nothing_is_learned_and_then_the_boat_does_not_lun
     assert flight.plans[-1].health_why == why
     assert f"LTV-MPC: {why}" in flight.autopilot.log
     flight.arm(mode=0)
-    track = flight.fly(90.0)
+    track = flight.fly(70.0)
     way = -track[0] / np.linalg.norm(track[0])
     assert (track @ way).max() < 0.3
     assert farthest_m(track[-500:]) < 0.3
@@ -358,10 +362,8 @@ def test_a_filter_without_a_position_gives_no_estimate() -> None:
     flight.fly(3.0)
     flight.autopilot.intervals[193] = 0.0
     flags = flight.autopilot.mav.ekf_status_report_encode(128, 0, 0, 0, 0, 0)
-    before = flight.edge.refused
     flight.edge.receive(Received("", bytes(flags.pack(flight.autopilot.mav)), b"", flight.host_us))
     flight.fly(1.0)
-    assert flight.edge.refused > before
     assert flight.edge.reason == "position: the EKF has none"
 
 
@@ -455,53 +457,13 @@ def test_a_datagram_of_several_frames_of_both_versions_is_read_frame_by_frame() 
     assert (edge.accepted, edge.refused) == (2, 1)
 
 
-def test_an_autopilot_of_version_1_is_driven() -> None:
-    flight = MavlinkFlight(v1=True)
-    flight.fly(3.0)
-    flight.arm()
-    flight.command(action="arm")
-    flight.fly(10.0)
-    assert flight.edge.overrides.state is State.DRIVING
-    assert flight.edge.refused == 0
-
-
 def test_on_a_signed_link_unsigned_and_repeated_frames_are_refused() -> None:
     flight = MavlinkFlight(key=KEY)
     flight.fly(3.0)
-    flight.arm()
-    flight.command(action="arm")
-    flight.fly(10.0)
-    assert flight.edge.overrides.state is State.DRIVING
-    assert flight.edge.refused == 0
-    unsigned = codec()
-    flight.edge.receive(Received("", unsigned.encode(attitude(1, 0.0)), b"", flight.host_us))
-    other = codec(key=bytes(32))
-    flight.edge.receive(Received("", other.encode(attitude(1, 0.0)), b"", flight.host_us))
-    assert flight.edge.refused == 2
-    assert "signature" in flight.edge.reason
     signed = codec(7, 1, KEY)
     frame = signed.encode(signed.make.heartbeat_encode(6, 8, 0, 0, 4))
-    for _ in range(2):
-        flight.edge.receive(Received("", frame, b"", flight.host_us))
-    assert flight.edge.refused == 3  # the second one is a replay
-
-
-# --- command line ----------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("line", "says"),
-    [
-        ("mavlink --autopilot serial:/dev/x", "must be udpin:HOST:PORT"),
-        ("mavlink --autopilot udpin:127.0.0.1:0", "must be udpin:HOST:PORT"),
-        ("mavlink --vehicle surface", "has no pwm_us and pwm_N"),
-        ("mavlink --signing-key /nowhere", "no such file"),
-        ("mavlink --signing-key {file}", "must be 32"),
-        ("mavlink --connect udpin:127.0.0.1:14550", "must be PROTOCOL/ADDRESS"),
-        ("mavlink --sd 1,2,3", "must be four numbers"),
-        ("mavlink --sd 1,0,0.1,0.1", "must be four numbers"),
-    ],
-)
-def test_bad_options_are_refused(line: str, says: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(line.format(file=__file__).split()) == 2
-    assert says in capsys.readouterr().err
+    others = [one.encode(attitude(1, 0.0)) for one in (codec(), codec(key=bytes(32)))]
+    for one in (*others, frame, frame):  # the second one is a replay
+        flight.edge.receive(Received("", one, b"", flight.host_us))
+    assert flight.edge.refused == 3
+    assert "signature" in flight.edge.reason

@@ -92,27 +92,23 @@ class Node:
         client.close()
         return response
 
-    def odometry(self, t_ns: int, position: Any, quaternion: Any, linear: Any, angular: Any) -> dict[str, Any]:
-        """Return the fields of an odometry message: ENU, FLU."""
+    def odometry(self) -> dict[str, Any]:
+        """Return the fields of an odometry message of now, at rest: ENU, FLU."""
         import numpy as np
 
-        def vector(kind: str, values: Any) -> Any:
-            return self.make(f"geometry_msgs/msg/{kind}", **dict(zip("xyzw", map(float, values), strict=False)))
+        def of(kind: str, **fields: Any) -> Any:
+            return self.make(f"geometry_msgs/msg/{kind}", **fields)
 
-        sec, nanosec = divmod(t_ns, 1_000_000_000)
-        time_of = self.make("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec)
-        pose = self.make(
-            "geometry_msgs/msg/Pose", position=vector("Point", position), orientation=vector("Quaternion", quaternion)
-        )
-        twist = self.make(
-            "geometry_msgs/msg/Twist", linear=vector("Vector3", linear), angular=vector("Vector3", angular)
-        )
-        zeros = np.zeros(36)
+        sec, nanosec = divmod(time.time_ns(), 1_000_000_000)
+        stamp = self.make("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec)
+        turn, zeros = of("Quaternion", x=0.0, y=0.0, z=0.0, w=1.0), np.zeros(36)
+        rest = of("Vector3", x=0.0, y=0.0, z=0.0)
+        pose = of("Pose", position=of("Point", x=1.0, y=2.0, z=-3.0), orientation=turn)
         return {
-            "header": self.make("std_msgs/msg/Header", stamp=time_of, frame_id="odom"),
+            "header": self.make("std_msgs/msg/Header", stamp=stamp, frame_id="odom"),
             "child_frame_id": "base_link",
-            "pose": self.make("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=zeros),
-            "twist": self.make("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=zeros),
+            "pose": of("PoseWithCovariance", pose=pose, covariance=zeros),
+            "twist": of("TwistWithCovariance", twist=of("Twist", linear=rest, angular=rest), covariance=zeros),
         }
 
 
@@ -142,7 +138,7 @@ def main(port: int, domain: int, fence: str) -> None:
 
         def publish() -> None:
             while not stopped.wait(0.1):
-                out.publish(**node.odometry(time.time_ns(), (1.0, 2.0, -3.0), (0, 0, 0, 1), (0, 0, 0), (0, 0, 0)))
+                out.publish(**node.odometry())
 
         threading.Thread(target=publish, daemon=True).start()
         pushed = threading.Event()

@@ -180,7 +180,7 @@ def test_a_folder_of_another_campaign_is_refused(
 
 
 @pytest.mark.timeout(700)
-def test_a_cluster_that_loses_a_worker_on_the_way_gives_the_same_bytes(
+def test_a_cluster_that_loses_its_worker_on_the_way_gives_the_same_bytes(
     file: Path, finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     distributed = pytest.importorskip("distributed")
@@ -188,7 +188,7 @@ def test_a_cluster_that_loses_a_worker_on_the_way_gives_the_same_bytes(
         monkeypatch.setenv(name, "1")
     design, rows = load(file), []
     planned = campaign.plan(design, "test")
-    options = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None, "local_directory": str(tmp_path)}
+    options = {"n_workers": 1, "threads_per_worker": 1, "dashboard_address": None, "local_directory": str(tmp_path)}
     with (
         distributed.LocalCluster(**options) as cluster,
         campaign.open_campaign(tmp_path / "out", planned) as store,
