@@ -25,7 +25,7 @@ class ConfigError(ValueError):
     value : the invalid value; None if there is none to show.
     """
 
-    def __init__(self, source: str, field: str, problem: str, *, value: object = None) -> None:
+    def __init__(self, source: str, field: str, problem: str, value: object = None) -> None:
         self.source = source
         self.field = field
         self.value = value
@@ -33,6 +33,10 @@ class ConfigError(ValueError):
         what = "" if value is None else format_value(value)
         where = " = ".join(x for x in (field, what) if x)
         super().__init__(one_line(": ".join(x for x in (source, where, problem) if x)))
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Return what another process makes the error of."""
+        return type(self), (self.source, self.field, self.problem, self.value)
 
 
 def format_value(value: object) -> str:

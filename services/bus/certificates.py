@@ -14,8 +14,9 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from cryptography import x509
-from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from services.bus.security import AUTHORITY
@@ -37,18 +38,13 @@ def make(folder: Path, roles: Iterable[str], *, hosts: Iterable[str] = (), days:
     authority_key = ec.generate_private_key(ec.SECP256R1())
     authority = _authority(authority_key, days)
     files = [folder / AUTHORITY]
-    _write(files[0], authority.public_bytes(serialization.Encoding.PEM))
+    _write(files[0], authority.public_bytes(Encoding.PEM))
     for role in roles:
         key = ec.generate_private_key(ec.SECP256R1())
         certificate = _of_role(role, key, names, authority, authority_key)
         files += [folder / f"{role}.pem", folder / f"{role}.key"]
-        _write(files[-2], certificate.public_bytes(serialization.Encoding.PEM))
-        _write(
-            files[-1],
-            key.private_bytes(
-                serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
-            ),
-        )
+        _write(files[-2], certificate.public_bytes(Encoding.PEM))
+        _write(files[-1], key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()))
     return files
 
 

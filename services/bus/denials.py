@@ -45,9 +45,7 @@ class Denials:
     def __init__(self) -> None:
         self.kinds: Counter[str] = Counter()
         self._names: dict[str, str] = {}  # by Zenoh id
-        self._caching: dict[
-            str, bool
-        ] = {}  # by thread: True while its lines are about a permission that is cached ahead
+        self._caching: dict[str, bool] = {}  # by thread: True while its lines are about what is cached ahead
         self._rest = b""
 
     @property

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 
@@ -109,29 +109,20 @@ def replay(
     every output; with --with it reports the differences that other settings make. Exit code 0 if every step that can
     be compared is identical.
     """
-    from contextlib import ExitStack
-    from functools import cache
-
     from services.replay import replay as nodes
     from services.reporting import replay_text
     from services.reporting.terminal import run_progress_bar
     from services.run import folder
 
     made = nodes.Run(folder.find(run))
-    with ExitStack() as shown:
-
-        @cache
-        def bar() -> Callable[[int], None]:
-            """Open the bar at the first progress: it starts a thread, and processes must be forked before that."""
-            return shown.enter_context(run_progress_bar(*made.nodes.span_ns))
-
-        if with_ is None:
-            verdict = nodes.replay(made, only=node, progress=lambda t_ns: bar()(t_ns))
-        else:
-            would = nodes.what_if(made, with_, only=node, progress=lambda t_ns: bar()(t_ns))
+    bar = run_progress_bar(*made.nodes.span_ns)
     if with_ is not None:
+        with bar as progress:
+            would = nodes.what_if(made, with_, only=node, progress=progress)
         show(would, lambda: replay_text.what_if_text(would), as_json=as_json)
         return 0
+    with bar as progress:
+        verdict = nodes.replay(made, only=node, progress=progress)
     show(verdict, lambda: replay_text.text(verdict), as_json=as_json)
     return 0 if verdict.identical else 1
 

@@ -337,9 +337,8 @@ def dashboard(
     except ValueError:
         raise invalid("option --host", "must be an IP address such as 127.0.0.1", value=host) from None
     if address.is_unspecified:
-        raise invalid(
-            "option --host", "must be one address, not all of them: the page checks it in each request", value=host
-        )
+        problem = "must be one address, not all of them: the page checks it in each request"
+        raise invalid("option --host", problem, value=host)
     try:
         from services.dashboard import serve
         from services.dashboard.config import Config

@@ -149,7 +149,6 @@ def _place(text: str) -> tuple[float, float]:
 
 
 def _free(file: Path, *, force: bool) -> None:
-
     if file.exists() and not force:
         raise invalid("vehicle file", "exists already: name another, or add --force", value=str(file))
 

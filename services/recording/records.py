@@ -22,6 +22,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO, NamedTuple, TypeAlias
 
+import lz4.frame
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
@@ -47,6 +48,8 @@ FOREIGN = (
 )
 
 _HEAD = struct.Struct("<BQ")
+
+IN_CHUNK = frozenset(map(int, (Opcode.MESSAGE, Opcode.CHANNEL, Opcode.SCHEMA)))
 
 DECODING_ERRORS = (McapError, ValueError, OverflowError, struct.error, zstandard.ZstdError, RuntimeError, MemoryError)
 """Exceptions of mcap, zstd, lz4 and struct on damaged content; UnicodeDecodeError is a ValueError."""
@@ -182,7 +185,7 @@ def _decoded(opcode: int, content: bytes) -> Iterable[Record]:
     match opcode:
         case Opcode.CHUNK:
             chunk = Chunk.read(stream)
-            _check_size(chunk)
+            chunk.data, chunk.compression = _decompressed(chunk), ""
             return breakup_chunk(chunk, validate_crc=True)  # type: ignore[return-value]  # only such records
         case Opcode.MESSAGE:
             return (Message.read(stream, len(content)),)
@@ -196,18 +199,30 @@ def _decoded(opcode: int, content: bytes) -> Iterable[Record]:
             return ()
 
 
-def _check_size(chunk: Chunk) -> None:
-    """Raise ``ValueError`` for a chunk that claims too much, or that is not compressed by zstd or LZ4."""
-    size, stored = chunk.uncompressed_size, len(chunk.data)
+def _decompressed(chunk: Chunk) -> bytes:
+    """Return the records of a chunk. Raises ``ValueError`` if it claims too much, or holds others than a chunk can."""
+    data: bytes = chunk.data
+    size, stored = chunk.uncompressed_size, len(data)
     if size > MAX_CHUNK_BYTES:
         raise ValueError(f"{size} bytes, at most {MAX_CHUNK_BYTES}")
     if size > FREE_BYTES + MAX_RATIO * stored:
         raise ValueError(f"{size} bytes from {stored}: more than {MAX_RATIO} times as many")
-    if chunk.compression not in ("zstd", "lz4", ""):
+    if chunk.compression == "zstd":
+        # The frame claims a size of its own, which zstd would trust.
+        if zstandard.frame_content_size(data) > MAX_CHUNK_BYTES:
+            raise ValueError("its zstd frame claims too many bytes")
+        data = zstandard.decompress(data, size)
+    elif chunk.compression == "lz4":  # mcap would let the frame grow without limit
+        data = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size)
+    elif chunk.compression:
         raise ValueError(f"compressed by {chunk.compression[:20]!r}, which is not supported")
-    # The frame claims a size of its own, which zstd would trust.
-    if chunk.compression == "zstd" and zstandard.frame_content_size(chunk.data) > MAX_CHUNK_BYTES:
-        raise ValueError("its zstd frame claims too many bytes")
+    start = 0
+    while start < len(data):  # mcap would skip other records one by one: zeros are millions of them
+        opcode, length = _HEAD.unpack_from(data, start)
+        start += _HEAD.size + length
+        if start > len(data) or opcode not in IN_CHUNK:
+            raise ValueError("a record type that a chunk cannot hold")
+    return data
 
 
 def _name(opcode: int) -> str:

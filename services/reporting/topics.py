@@ -11,7 +11,7 @@ from ltv_mpc.errors import ConfigError, format_value
 from ltv_mpc.messages import Message
 from ltv_mpc.settings_schema import suggestion
 from services.bus.schema import message, schema, unit, words
-from services.bus.topics import TOPICS, Topic
+from services.bus.topics import BY_KEY, TOPICS, Topic
 from services.runtime.console import WIDTH, columns
 
 
@@ -31,17 +31,14 @@ def text(key: str | None, *, as_json: bool) -> str:
 
 def schemas(key: str | None) -> str:
     """Return the JSON Schema of the message on ``key``, or of every topic by key. Raises ``ConfigError``."""
-    by_key = (
-        {topic.key: schema(topic.message_type) for topic in TOPICS} if key is None else schema(_at(key).message_type)
-    )
-    return json.dumps(by_key, indent=2) + "\n"
+    found = {topic.key: schema(topic.message_type) for topic in TOPICS}
+    return json.dumps(found if key is None else found[_at(key).key], indent=2) + "\n"
 
 
 def _at(key: str) -> Topic:
-    topic = next((topic for topic in TOPICS if topic.key == key), None)
-    if topic is None:
-        raise ConfigError(f"topic {format_value(key)}", "", f"is not a topic{suggestion(key, [t.key for t in TOPICS])}")
-    return topic
+    if key not in BY_KEY:
+        raise ConfigError(f"topic {format_value(key)}", "", f"is not a topic{suggestion(key, BY_KEY)}")
+    return BY_KEY[key]
 
 
 def _row(topic: Topic) -> dict[str, Any]:

@@ -61,9 +61,8 @@ class ClockSync:
         """``epoch``: the epoch under which this process publishes its plans."""
         self._clock = clock
         self._epoch, self._input_delay_ns = epoch, input_delay_ns
-        self._publishers: OrderedDict[int, ClockOffsetEstimator] = (
-            OrderedDict()
-        )  # by epoch, the one received last at the end
+        # By epoch, the one received last at the end.
+        self._publishers: OrderedDict[int, ClockOffsetEstimator] = OrderedDict()
         self._reference: int | None = None  # publisher whose clock the vehicle time and the plans follow
         self._actuators_report = False
         self._source: int | None = None  # publisher of the estimates in use

@@ -26,8 +26,7 @@ class DeadlineQueue:
     def run_due(self, now_us: int) -> None:
         """Run every duty whose deadline has passed."""
         for due, run in self._deadlines:
-            due_us = due()
-            if due_us is not None and now_us >= due_us:
+            if (due_us := due()) is not None and now_us >= due_us:
                 run(now_us)
 
     def next_us(self, step_due_us: int | None = None) -> int:

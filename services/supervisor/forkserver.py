@@ -122,32 +122,34 @@ class ForkServer:
             fcntl.fcntl(into_stdin, fcntl.F_SETPIPE_SZ, PIPE_BYTES)
         os.set_blocking(heartbeats, False)
         try:
-            pid = self._fork((module, str(config), str(log)), stdin, heartbeat)
-            pid = pid or self._spawn(module, config, log, stdin, heartbeat)
+            begin = self._fork if self.is_loaded() else self._spawn
+            pid = begin(module, str(config), str(log), stdin, heartbeat)
         finally:
             os.close(stdin)
             os.close(heartbeat)
-        return Child(pid, into_stdin, heartbeats)
+        if pid is not None:
+            return Child(pid, into_stdin, heartbeats)
+        os.close(into_stdin)  # a child that the server has forked too late ends at the end of its input
+        os.close(heartbeats)
+        return self.start(module, config, log)  # without that server
 
     def close(self) -> None:
         """Kill the server; its children live on."""
         self._end()
         _set_subreaper(False)
 
-    def _fork(self, request: tuple[str, str, str], stdin: int, heartbeat: int) -> int | None:
-        """Return the pid of a forked child; None without a server that replies, which is killed then."""
-        if not self.is_loaded():
-            return None
+    def _fork(self, module: str, config: str, log: str, stdin: int, heartbeat: int) -> int | None:
+        """Return the pid of a forked child; None if the server does not reply in time: it is killed then."""
         with contextlib.suppress(ConnectionError):  # the server has died
-            socket.send_fds(self._requests, [msgspec.json.encode(request)], (stdin, heartbeat))
+            socket.send_fds(self._requests, [msgspec.json.encode((module, config, log))], (stdin, heartbeat))
         pid = self._reply(REPLY_TIMEOUT_S)
         if pid is None:
             self._end()
         return pid
 
-    def _spawn(self, module: str, config: Path, log: Path, stdin: int, heartbeat: int) -> int:
+    def _spawn(self, module: str, config: str, log: str, stdin: int, heartbeat: int) -> int:
         """Return the pid of a spawned child."""
-        arguments = [*PYTHON, *ENTRY_POINT, str(os.getpid()), module, str(config), str(heartbeat)]
+        arguments = [*PYTHON, *ENTRY_POINT, str(os.getpid()), module, config, str(heartbeat)]
         actions = [
             (os.POSIX_SPAWN_DUP2, stdin, 0),
             (os.POSIX_SPAWN_OPEN, 1, log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666),

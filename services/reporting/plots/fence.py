@@ -62,7 +62,8 @@ def kept_free(zone: ZoneInForce, distance_m: float) -> list[Array]:
         return [_circle(zone.vertices_m[0], zone.radius_m + distance_m)]
     import shapely  # takes a twentieth of a second, and only a fence needs it
 
-    grown = shapely.Polygon(zone.vertices_m).buffer(-distance_m if zone.keep_in else distance_m, quad_segs=8)
+    shape = shapely.Polygon if len(zone.vertices_m) > 2 else shapely.MultiPoint  # any publisher may give fewer
+    grown = shape(zone.vertices_m).buffer(-distance_m if zone.keep_in else distance_m, quad_segs=8)
     return [shapely.get_coordinates(part.exterior) for part in shapely.get_parts(grown) if not part.is_empty]
 
 

@@ -43,9 +43,7 @@ class Standing(msgspec.Struct, frozen=True, kw_only=True):
     runs: int
     failed: int
     value: ConfidenceInterval | None  # of the figure; None where no run has it
-    over_best: ConfidenceInterval | None = (
-        None  # by how much it is larger than the best point's; None for that point itself
-    )
+    over_best: ConfidenceInterval | None = None  # by how much it is larger than the best point's; None: its own
 
 
 class Scores(NamedTuple):

@@ -7,6 +7,7 @@ import zlib
 from pathlib import Path
 from typing import Any
 
+import lz4.frame
 import pytest
 import zstandard
 from mcap.reader import make_reader
@@ -154,10 +155,10 @@ def record(opcode: int, content: bytes, *, claimed: int | None = None) -> bytes:
     return struct.pack("<BQ", opcode, len(content) if claimed is None else claimed) + content
 
 
-def chunk(data: bytes, *, size: int | None = None, compressed: bytes | None = None) -> bytes:
+def chunk(data: bytes, *, size: int | None = None, compressed: bytes | None = None, by: bytes = b"zstd") -> bytes:
     packed = zstandard.compress(data) if compressed is None else compressed
     head = struct.pack("<QQQI", 0, 0, len(data) if size is None else size, zlib.crc32(data))
-    return record(6, head + struct.pack("<I", 4) + b"zstd" + struct.pack("<Q", len(packed)) + packed)
+    return record(6, head + text(by) + struct.pack("<Q", len(packed)) + packed)
 
 
 def text(value: bytes) -> bytes:
@@ -177,7 +178,9 @@ BOMB = zstandard.ZstdCompressor().compress(bytes(MAX_CHUNK_BYTES + 1))
         (chunk(b"", size=100, compressed=BOMB), "too many bytes"),
         (chunk(bytes(MAX_CHUNK_BYTES)), "more than 200 times as many"),  # it would be read for seconds
         (chunk(b"", size=100, compressed=b"rubbish"), "chunk"),
-        (chunk(record(5, b"", claimed=2**62)), "chunk: EndOfFile"),
+        (chunk(CHANNEL + bytes(90)), "a record type that a chunk cannot hold"),  # millions would be read for seconds
+        (chunk(CHANNEL + MESSAGE[:-1]), "chunk"),
+        (chunk(record(5, b"", claimed=2**62)), "chunk"),
         (record(5, b"x"), "message"),
         (record(4, b"\x01\x00\x00\x00\xff\xff\xff\xff"), "channel"),
         (record(12, text(b"\xff") + text(b"")), "metadata"),
@@ -193,6 +196,12 @@ def test_a_record_that_lies_costs_no_memory_and_is_a_loss_with_its_reason(
     (loss,) = records.losses
     assert why in loss.why
     assert (loss.offset, loss.length) == (len(MAGIC + CHANNEL + MESSAGE), len(content))
+
+
+def test_an_lz4_frame_grows_to_the_size_that_its_chunk_claims_and_no_further(tmp_path: Path) -> None:
+    bomb = lz4.frame.compress(CHANNEL + MESSAGE * 100_000, store_size=False)
+    (path := tmp_path / "run.mcap").write_bytes(MAGIC + chunk(CHANNEL, compressed=bomb, by=b"lz4"))
+    assert [type(found).__name__ for found in Records(path)] == ["Channel"]
 
 
 @pytest.mark.parametrize("how", [{"compression": CompressionType.LZ4}, {"chunk_size": 1 << 26}])

@@ -49,6 +49,12 @@ def test_a_disc_and_what_bounds_the_plan():
     assert drawn["kept_free"] == {"north_m": [], "east_m": []}
 
 
+@pytest.mark.parametrize("corners", [1, 2])
+def test_a_polygon_of_too_few_corners_is_drawn_all_the_same(corners):
+    drawn = view.tables(in_force(SQUARE[:corners], keep_in=False), None)
+    assert np.hypot(*points({name: cells[:30] for name, cells in drawn["kept_free"].items()}).T).max() >= 3.0
+
+
 def test_an_obstacle_is_drawn_where_it_is_and_where_it_will_be():
     plan = msgspec.structs.replace(PLAN, t_ns=np.array([1_000_000_000, 11_000_000_000]))
     drawn = view.tables(in_force(SQUARE, keep_in=False), plan)

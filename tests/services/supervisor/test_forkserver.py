@@ -151,6 +151,18 @@ def test_a_fork_server_that_fails_kills_no_child_and_is_replaced(crew: ChildProc
     until(lambda: not {first, spawned} & children_of(os.getpid()).keys())
 
 
+def test_what_a_slow_fork_server_forks_too_late_ends_and_takes_nothing_from_the_other_child(
+    crew: ChildProcesses, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    late: list[int | None] = []
+    reply = crew.forks._reply
+    monkeypatch.setattr(crew.forks, "_reply", lambda timeout_s: late.append(reply(10.0)) if timeout_s else reply(0.0))
+    child = started(crew, "plant", "sleeps")
+    assert late != [child.pid]
+    until(lambda: not alive(late[0] or 0))
+    assert child.exit_code() is None
+
+
 SUPERVISOR = f"""
 import sys, time
 from pathlib import Path

@@ -35,6 +35,15 @@ def test_what_a_job_raises_reaches_the_reader(workers: int) -> None:
         list(run_each(math.sqrt, [4.0, -1.0, 9.0], workers=workers))
 
 
+def refuse(job: int) -> None:
+    raise ConfigError("scenario", "[water] sd_mps", "must be >= 0", value=job)
+
+
+def test_a_setting_that_a_worker_refuses_is_refused_here() -> None:
+    with pytest.raises(ConfigError, match=r"scenario: \[water\] sd_mps = -4: must be >= 0"):
+        list(run_each(refuse, [-4, -4], workers=2))
+
+
 def test_each_job_has_one_result_and_only_one_that_ends_its_worker_each_time_is_given_up(tmp_path: Path) -> None:
     work = partial(mortal, tmp_path, {0: 1, 3: 99, 5: MAX_LOSSES - 1})
     done = list(run_each(work, range(8), workers=2, lost=lambda job: job + 1000))
