@@ -9,6 +9,8 @@ from typing import Annotated, Any, Literal, TypeAlias
 
 import msgspec
 
+from ltv_mpc.errors import ConfigError
+
 ROUTER_ADDRESS = "127.0.0.1:7447"
 """Default address of the router, for nodes that connect and for a router that listens."""
 
@@ -98,3 +100,15 @@ def endpoint_error(endpoint: str) -> str:
     if protocol in HOST_AND_PORT and not (host and 1 <= number <= MAX_PORT):
         return f"must be {protocol}/HOST:PORT, PORT from 1 to {MAX_PORT}"
     return ""
+
+
+def invalid(source: str, problem: str, *, value: object = None) -> ConfigError:
+    """Return the error of an option or argument, for which the command ends with exit code 2."""
+    return ConfigError(source, "", problem, value=value)
+
+
+def check_namespace(namespace: str, option: str = "--namespace") -> None:
+    """Raise ``ConfigError`` if the namespace cannot be the prefix of a key."""
+    if (namespace and not all(namespace.split("/"))) or set(namespace) & set("*$#? "):
+        problem = "must be names joined by /, without * $ # ? or spaces"
+        raise invalid(f"option {option}", problem, value=namespace)

@@ -20,10 +20,9 @@ from typer.main import get_command
 from ltv_mpc.errors import ConfigError
 from services.cli.bus import certs, ctl, topics
 from services.cli.dives import dive, localise
-from services.cli.edges import mavlink, ros2
 from services.cli.measure import campaign, profile, qp
 from services.cli.options import flag
-from services.cli.processes import controller, estimator, plant, recorder, router, sensors
+from services.cli.processes import controller, estimator, mavlink, plant, recorder, ros2, router, sensors
 from services.cli.runs import log, replay, report
 from services.cli.start import completion, dashboard, doctor, sim, watch
 from services.cli.vehicle import vehicle

@@ -16,9 +16,9 @@ from typing import Annotated, Any, TypeAlias, get_args, get_origin, get_type_hin
 import typer
 from msgspec import structs
 
-from ltv_mpc.errors import ConfigError
-from services.bus.options import SECURE, endpoint_error
+from services.bus.options import SECURE, check_namespace, endpoint_error
 from services.bus.options import BusOptions as BusOptions
+from services.bus.options import invalid as invalid
 from services.processes.settings import Controller, Estimator, Plant
 
 
@@ -81,11 +81,6 @@ FenceFile: TypeAlias = Annotated[str | None, option_of(Controller, "fence")]
 Out: TypeAlias = Annotated[Path | None, option("DIR", "Folder to write. Default: runs/TIME-NAME (UTC).")]
 Force: TypeAlias = Annotated[bool, flag("--force", "Write into a folder that is not empty.")]
 Json: TypeAlias = Annotated[bool, flag("--json", "Print only the result, as JSON, on stdout.")]
-
-
-def invalid(source: str, problem: str, *, value: object = None) -> ConfigError:
-    """Return the error of an option or argument, for which the command ends with exit code 2."""
-    return ConfigError(source, "", problem, value=value)
 
 
 @contextmanager
@@ -183,12 +178,16 @@ def with_bus(role: str = "") -> Callable[[Callable[..., int]], Callable[..., int
     return lambda function: with_options(function, block, "bus", collect)
 
 
-def process_command(settings: type[Any]) -> Callable[..., int]:
-    """Return the command of a process, named after the struct of its settings, which are its options."""
+def process_command(settings: type[Any], package: str = "") -> Callable[..., int]:
+    """Return the command of a process, named after the struct of its settings, which are its options.
+
+    ``package`` is that of an extra, which has the command's name.
+    """
     name = settings.__name__.lower()
 
     def command(given: dict[str, Any], bus: BusOptions) -> int:
-        process = importlib.import_module(f"services.processes.{name}")
+        with needs(package, name, name):
+            process = importlib.import_module(f"services.processes.{name}")
         code: int = process.main(_struct_of(settings, **given, bus=bus))
         return code
 
@@ -202,10 +201,3 @@ def check_endpoint(option: str, endpoint: str, certs: Path | None) -> None:
         raise invalid(f"option {option}", problem, value=endpoint)
     if certs is not None and not endpoint.startswith(f"{SECURE}/"):
         raise invalid(f"option {option}", f"must be {SECURE}/HOST:PORT with --certs", value=endpoint)
-
-
-def check_namespace(namespace: str, option: str = "--namespace") -> None:
-    """Raise ``ConfigError`` if the namespace cannot be the prefix of a key."""
-    if (namespace and not all(namespace.split("/"))) or set(namespace) & set("*$#? "):
-        problem = "must be names joined by /, without * $ # ? or spaces"
-        raise invalid(f"option {option}", problem, value=namespace)

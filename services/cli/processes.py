@@ -11,6 +11,7 @@ from services.processes import settings
 router, plant, sensors, estimator, controller = map(
     process_command, (settings.Router, settings.Plant, settings.Sensors, settings.Estimator, settings.Controller)
 )
+ros2, mavlink = process_command(settings.Ros2, "rosbags"), process_command(settings.Mavlink, "pymavlink")
 
 
 @with_bus("recorder")

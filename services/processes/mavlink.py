@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import select
 import socket
 import threading
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
-import msgspec
-
+from ltv_mpc.config import read_bytes
+from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.mailbox import Mailbox
-from services.bus.options import BusOptions
+from services.bus.options import invalid
 from services.bus.outbox import new_epoch
 from services.bus.session import BusError, open_session
 from services.edges.edge import Outgoing
 from services.edges.mavlink.codec import MARKERS, Codec
 from services.edges.mavlink.edge import MavlinkEdge, Settings
+from services.edges.mavlink.navigation import Accuracy
+from services.processes import settings
 from services.processes.edge_loop import EdgeLoop, SenderLimit
 from services.runtime.console import Console
 from services.runtime.serve import run_until_stopped
@@ -30,39 +34,63 @@ FROM_STRANGER, STRANGERS = 100, 20
 SIGNING_EPOCH_S = 1_420_070_400  # 2015-01-01, from which the stamps of signatures count
 
 
-class Config(msgspec.Struct, frozen=True, kw_only=True):
-    """Settings of the process."""
-
-    bus: BusOptions
-    host: str
-    port: int
-    listens: bool  # udpin: the autopilot sends to this address; else the edge sends to it first
-    edge: Settings
-    signing_key: bytes | None = None
+Config = settings.Mavlink
 
 
 def main(config: Config) -> int:
-    """Translate until a stop is requested. Return the exit code."""
-    return run_until_stopped(Console(MavlinkEdge.name), lambda request, say: _run(config, request, say))
+    """Translate until a stop is requested. Return the exit code. Raises ``ConfigError``."""
+    host, port, listens = _autopilot(config.autopilot)
+    vehicle, system = Vehicle.load(config.vehicle), config.gcs_sysid
+    sides = ("port", vehicle.thruster.port), ("starboard", vehicle.thruster.starboard)
+    if missing := [name for name, thruster in sides if not thruster.pwm_us]:
+        problem = f"[thruster.{missing[0]}] has no pwm_us and pwm_N: the vehicle bluerobotics-boat has them"
+        raise invalid(f"vehicle {config.vehicle}", problem)
+    key = None if config.signing_key is None else _key(config.signing_key)
+    edge = Settings(
+        vehicle=vehicle, ground_station=system, accuracy=_accuracy(config.sd), follow_mission=not config.no_mission
+    )
+
+    def work(request: StopRequest, say: Say) -> None:
+        mailbox, epoch = Mailbox(), new_epoch()
+        request.on_request(mailbox.wake)
+        codec = Codec(system, key, stamp=round((time.time() - SIGNING_EPOCH_S) * 1e5))
+        with (
+            open_session(config.bus, stop=request, say=say) as session,
+            UdpLink(host, port, mailbox, listens=listens) as link,
+        ):
+            way = "listens at" if listens else "sends to"
+            say(f"{way} udp {host}:{port}; watches ground station {system}, thrusters of {vehicle.name}")
+            EdgeLoop(MavlinkEdge(epoch, edge, codec), session, mailbox, epoch, say).run(link, PERIOD_US, request)
+
+    return run_until_stopped(Console(MavlinkEdge.name, as_json=config.log_json), work)
 
 
-def _run(config: Config, request: StopRequest, say: Say) -> None:
-    mailbox = Mailbox()
-    request.on_request(mailbox.wake)
-    stamp = round((time.time() - SIGNING_EPOCH_S) * 1e5)
-    codec = Codec(config.edge.ground_station, config.signing_key, stamp=stamp)
-    with (
-        open_session(config.bus, stop=request, say=say) as session,
-        UdpLink(config.host, config.port, mailbox, listens=config.listens) as link,
-    ):
-        epoch = new_epoch()
-        edge = MavlinkEdge(epoch, config.edge, codec)
-        way = "listens at" if config.listens else "sends to"
-        say(
-            f"{way} udp {config.host}:{config.port}; watches ground station {config.edge.ground_station}, "
-            f"thrusters of {config.edge.vehicle.name}"
-        )
-        EdgeLoop(edge, session, mailbox, epoch, say).run(link, PERIOD_US, request)
+def _accuracy(text: str) -> Accuracy:
+    """Return the standard deviations of a text. Raises ``ConfigError``."""
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        values = []
+    if len(values) != 4 or not all(0.0 < value < 1e3 for value in values):
+        raise invalid("option --sd", "must be four numbers above 0, as in 1,0.1,0.05,0.01", value=text)
+    return Accuracy(*values)
+
+
+def _key(path: Path) -> bytes:
+    """Return the 32 bytes of a file. Raises ``ConfigError``."""
+    key = read_bytes(path, what="option --signing-key")
+    if len(key) != 32:
+        raise invalid(f"option --signing-key {path}", f"has {len(key)} bytes, must be 32")
+    return key
+
+
+def _autopilot(text: str) -> tuple[str, int, bool]:
+    """Return host, port, and whether the edge listens there. Raises ``ConfigError``."""
+    found = re.fullmatch("(udpin|udpout):(.+):([0-9]{1,5})", text)
+    if found is None or not 1 <= int(found[3]) <= 65_535:
+        problem = "must be udpin:HOST:PORT or udpout:HOST:PORT, as in udpin:127.0.0.1:14550"
+        raise invalid("option --autopilot", problem, value=text)
+    return found[2], int(found[3]), found[1] == "udpin"
 
 
 class UdpLink:

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable
 
 import msgspec
 
+from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.mailbox import Mailbox
-from services.bus.options import BusOptions
+from services.bus.options import check_namespace, invalid
 from services.bus.outbox import new_epoch
-from services.bus.session import ForeignReceiver, Publisher, QueryReceiver, Reply, Session, open_session
+from services.bus.session import ForeignReceiver, Publisher, QueryReceiver, Reply, Session, configuration, open_session
 from services.edges.edge import Outgoing, Refused
 from services.edges.ros2.conversions import Settings
 from services.edges.ros2.edge import MAX_REQUESTS, Ros2Edge
-from services.edges.ros2.middleware import GID_BYTES, Attachment, Bridge, RmwZenoh, gid_of
-from services.edges.ros2.topics import IN, OUT, Row
+from services.edges.ros2.middleware import GID_BYTES, Attachment, Bridge, RmwZenoh, gid_of, is_topic
+from services.edges.ros2.topics import BY_NAME, IN, OUT, Row, rows
+from services.processes import settings
 from services.processes.edge_loop import EdgeLoop, SenderLimit
 from services.runtime.console import Console
 from services.runtime.serve import run_until_stopped
@@ -25,39 +28,58 @@ FROM_PUBLISHER, PUBLISHERS = 1000, 100
 """Messages a second of one publisher, which the bridge does not tell apart, and publishers, that are received."""
 
 
-class Config(msgspec.Struct, frozen=True, kw_only=True):
-    """Settings of the process."""
-
-    bus: BusOptions
-    ros: BusOptions  # of the other side: the same router, with its own namespace and role
-    rows: Sequence[Row]
-    domain_id: int | None = None  # None: zenoh-plugin-ros2dds, which has no domain in its keys
-    edge: Settings
-    rate_hz: float = 20.0
+Config = settings.Ros2
 
 
 def main(config: Config) -> int:
-    """Translate until a stop is requested. Return the exit code."""
-    return run_until_stopped(Console(Ros2Edge.name), lambda request, say: _run(config, request, say))
+    """Translate until a stop is requested. Return the exit code. Raises ``ConfigError``."""
+    bus, dds = config.bus, config.middleware == "ros2dds"
+    if bus.certs is not None and dds:
+        problem = "only with --middleware rmw_zenoh: the keys of the bridge have no domain, and so no role"
+        raise invalid("option --certs", problem)
+    check_namespace(config.ros_namespace, "--ros-namespace")
+    other = msgspec.structs.replace(
+        bus, namespace=config.ros_namespace, role=f"ros-{config.domain_id}", timestamps=True
+    )
+    configuration(other)  # its certificate is checked before anything starts
+    used = _rows(config.topic, config.array, config.scale)
+    vehicle = Vehicle.load(config.vehicle)
+    edge = Settings(vehicle=vehicle, speed_mps=config.speed_mps, array=config.array, scale=config.scale)
+    middleware = Bridge() if dds else RmwZenoh(config.domain_id)
+
+    def work(request: StopRequest, say: Say) -> None:
+        mailbox, epoch = Mailbox(), new_epoch()
+        request.on_request(mailbox.wake)
+        with open_session(bus, stop=request, say=say) as session, open_session(other, stop=request, say=say) as ros:
+            translator, link = Ros2Edge(epoch, edge), RosLink(ros, middleware, used, mailbox)
+            loop = EdgeLoop(translator, session, mailbox, epoch, say)
+            for frame in translator.start():
+                link.send(frame)
+            for direction, verb in ((IN, "reads"), (OUT, "writes")):
+                say(f"{verb} {', '.join(row.topic for row in used if row.direction is direction)}")
+            loop.run(link, round(1e6 / config.rate_hz), request)
+
+    return run_until_stopped(Console(Ros2Edge.name, as_json=config.log_json), work)
 
 
-def _run(config: Config, request: StopRequest, say: Say) -> None:
-    mailbox = Mailbox()
-    request.on_request(mailbox.wake)
-    middleware = Bridge() if config.domain_id is None else RmwZenoh(config.domain_id)
-    with (
-        open_session(config.bus, stop=request, say=say) as session,
-        open_session(config.ros, stop=request, say=say) as ros,
-    ):
-        epoch = new_epoch()
-        edge = Ros2Edge(epoch, config.edge)
-        link = RosLink(ros, middleware, tuple(config.rows), mailbox)
-        loop = EdgeLoop(edge, session, mailbox, epoch, say)
-        for frame in edge.start():
-            link.send(frame)
-        for direction, verb in ((IN, "reads"), (OUT, "writes")):
-            say(f"{verb} {', '.join(row.topic for row in config.rows if row.direction is direction)}")
-        loop.run(link, round(1e6 / config.rate_hz), request)
+def _rows(topics: Iterable[str], array: str, scale: float) -> tuple[Row, ...]:
+    """Return the rows in use, with the topics of --topic. Raises ``ConfigError``."""
+    names = {}
+    for given in topics:
+        name, _, of = given.partition("=")
+        if name not in BY_NAME or not is_topic(of):
+            problem = f"must be NAME=/TOPIC, NAME one of {', '.join(BY_NAME)}"
+            raise invalid("option --topic", problem, value=given)
+        names[name] = of
+    used = rows(names, array=bool(array))
+    if twice := sorted({row.topic for row in used if sum(row.topic == other.topic for other in used) > 1}):
+        raise invalid("option --topic", "used for several rows", value=", ".join(twice))
+    order = array.split(",") if array else []
+    if not set(order) <= {"port", "starboard", "vertical"} or len(set(order)) < len(order):
+        raise invalid("option --array", "must be names of port, starboard, vertical", value=array)
+    if not (math.isfinite(scale) and scale != 0.0):
+        raise invalid("option --scale", "must be a number other than 0", value=str(scale))
+    return used
 
 
 class RosLink:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
 import msgspec
 
@@ -141,6 +141,46 @@ def resolved(vehicle: Vehicle, settings: Path | None, **given: float | None) -> 
     control = msgspec.structs.replace(control, **{name: value for name, value in given.items() if value is not None})
     source = "options --rate-hz, --horizon-s" if settings is None else f"controller settings {settings}"
     return settled(control, vehicle, source=source)
+
+
+class Ros2(ProcessSettings, frozen=True, kw_only=True):
+    """Connect to ROS 2: odometry and goals in, thrusts out.
+
+    Reads plan, controller/status and topics; writes estimate, command, applied and topics. It replaces the estimator.
+    """
+
+    middleware: Annotated[
+        Literal["ros2dds", "rmw_zenoh"],
+        setting("ros2dds|rmw_zenoh", "zenoh-bridge-ros2dds, or ROS 2 nodes with rmw_zenoh."),
+    ] = "ros2dds"
+    domain_id: Annotated[int, setting("D", "ROS_DOMAIN_ID, for rmw_zenoh.", ge=0, le=232)] = 0
+    topic: Annotated[tuple[str, ...], setting("NAME=/TOPIC", "Other topic for a row of docs/ros2.md; repeatable.")] = ()
+    array: Annotated[str, setting("ORDER", "One Float64MultiArray, such as port,starboard.")] = ""
+    scale: Annotated[float, setting("S", "Factor of that array, per N.")] = 1.0
+    vehicle: Annotated[str, setting("NAME|FILE", "Vehicle, for its arms and its reference point.")] = "paper"
+    speed_mps: Annotated[float, setting("V", "Speed on a route (m/s).", ge=0.01, le=20.0)] = 0.5
+    ros_namespace: Annotated[str, setting("NAME", "Namespace of the bridge, the prefix of its keys.")] = ""
+    rate_hz: Annotated[float, setting("R", "Rate of the thrusts (Hz).", ge=1.0, le=200.0)] = 20.0
+
+
+class Mavlink(ProcessSettings, frozen=True, kw_only=True):
+    """Connect to ArduPilot: position in, thrusts out.
+
+    Reads plan and controller/status; writes estimate, command and applied. It replaces the estimator.
+    """
+
+    autopilot: Annotated[str, setting("udpin|udpout:HOST:PORT", "Where the autopilot sends, or listens.")] = (
+        "udpin:127.0.0.1:14550"
+    )
+    gcs_sysid: Annotated[int, setting("N", "MAV_GCS_SYSID of the autopilot.", ge=1, le=255)] = 255
+    vehicle: Annotated[str, setting("NAME|FILE", "Vehicle, with pwm_us and pwm_N of each thruster.")] = (
+        "bluerobotics-boat"
+    )
+    signing_key: Annotated[Path | None, setting("FILE", "32 bytes: signed frames alone, both ways.")] = None
+    sd: Annotated[str, setting("P,V,H,R", "Standard deviations that it does not send: m, m/s, rad, rad/s of yaw.")] = (
+        "1,0.1,0.05,0.01"
+    )
+    no_mission: Annotated[bool, setting("", "Ignore the mission and the fence of the autopilot.")] = False
 
 
 class Recorder(ProcessSettings, frozen=True, kw_only=True):

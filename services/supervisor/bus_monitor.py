@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, NamedTuple, TypeVar, cast
 
@@ -24,12 +23,12 @@ from ltv_mpc.messages import (
     Truth,
 )
 from ltv_mpc.node import DEFAULT_SOURCE
-from services.bus.latest_cache import LatestCache, LatestFrame
+from services.bus.latest_cache import LatestCache
 from services.bus.mailbox import Mailbox
 from services.bus.message_validation import valid_message
 from services.bus.roles import ROUTER
 from services.bus.session import Session
-from services.bus.topics import BY_TYPE, Topic, expression
+from services.bus.topics import BY_TYPE, expression
 from services.bus.wire import epoch_of
 from services.runtime.clock import ClockError, VehicleClock, monotonic_us
 from services.supervisor.screen import LiveView
@@ -48,8 +47,6 @@ DISPLAYED: dict[str, type[Message]] = {
 """Types of which the view has the newest message, by its field."""
 
 OTHERS: tuple[type[Message], ...] = (Clock, Estimate, ControllerState, EstimatorState)
-PLAN_HISTORY = 32
-"""Plans that are kept, 10 s of them: one of them is in force at the actuators."""
 
 
 class Activity(NamedTuple):
@@ -59,28 +56,15 @@ class Activity(NamedTuple):
     arrived_s: float  # monotonic time
 
 
-class _RecentPlans(LatestCache):
-    """Cache of the newest plan that also keeps the last ``PLAN_HISTORY`` plans."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.recent: deque[LatestFrame] = deque(maxlen=PLAN_HISTORY)
-
-    def offer(self, topic: Topic | None, key: str, payload: bytes) -> None:
-        super().offer(topic, key, payload)
-        self.recent.append(self._frames[key])
-
-
 class BusMonitor:
     """Subscriptions of the supervisor. ``nodes`` are the processes whose status it reads; ``*`` reads all."""
 
     def __init__(self, session: Session, nodes: Iterable[str]) -> None:
         self._newest = LatestCache()
-        self._plans = _RecentPlans()
         self._notices = Mailbox()
         self._clock = VehicleClock()
         for kind in (*DISPLAYED.values(), *OTHERS):
-            session.subscribe(expression(BY_TYPE[kind]), BY_TYPE[kind], self._plans if kind is Plan else self._newest)
+            session.subscribe(expression(BY_TYPE[kind]), BY_TYPE[kind], self._newest)
         for node in nodes:
             session.subscribe(f"{STATUS}/{node}", BY_TYPE[NodeStatus], self._newest)
         session.subscribe(f"{BY_TYPE[RunEvent].key}/*", BY_TYPE[RunEvent], self._notices)
@@ -92,7 +76,7 @@ class BusMonitor:
         ``node`` is the last part of its key: the process if every process writes it, the source of an estimate.
         """
         key = f"{BY_TYPE[kind].key}/{node}" if node else BY_TYPE[kind].key
-        frame = (self._plans if kind is Plan else self._newest).get(key)
+        frame = self._newest.get(key)
         found = None if frame is None else frame.decoded
         return found[0] if found is not None and isinstance(found[0], kind) else None
 
@@ -101,7 +85,7 @@ class BusMonitor:
         applied = self.newest(Applied)
         if applied is None or applied.plan_sequence < 0:
             return None
-        for frame in reversed(tuple(self._plans.recent)):
+        for frame in self._newest.recent(BY_TYPE[Plan].key):
             if frame.decoded is not None:
                 plan, header = frame.decoded
                 if (header.epoch, header.sequence) == (applied.plan_epoch, applied.plan_sequence):

@@ -25,8 +25,8 @@ from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.references.geodesy import Origin
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.security import credentials
-from services.cli.edges import _key
 from services.processes import checkpoint
+from services.processes.mavlink import _key
 from services.recording import export, info, recover
 from services.recording.records import MAGIC
 from services.reporting.plots import recorded

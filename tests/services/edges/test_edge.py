@@ -172,7 +172,7 @@ def test_a_frame_becomes_messages_or_is_refused_and_both_are_counted() -> None:
         ("ros2 --topic port=/t --topic starboard=/t", "used for several rows"),
         ("ros2 --array port,left", "must be names of port"),
         ("ros2 --scale 0", "must be a number other than 0"),
-        ("ros2 --middleware fastdds", "must be ros2dds or rmw_zenoh"),
+        ("ros2 --middleware fastdds", "must be one of ros2dds, rmw_zenoh"),
         ("ros2 --ros-namespace a//b", "must be names joined by /"),
         ("mavlink --autopilot serial:/dev/x", "must be udpin:HOST:PORT"),
         ("mavlink --autopilot udpin:127.0.0.1:0", "must be udpin:HOST:PORT"),

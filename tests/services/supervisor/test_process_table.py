@@ -8,14 +8,15 @@ from pathlib import Path
 import pytest
 
 from services.bus.options import BusOptions
+from services.processes import settings
 from services.run import folder
 from services.run.run_config import Override, RunConfig, resolve
 from services.supervisor import process_table
 from services.supervisor.entry_point import read_config, write_config
 
 
-def made(tmp_path: Path, *settings: str) -> tuple[RunConfig, folder.RunFolder, BusOptions]:
-    run_config = resolve("descent", [Override("test", settings)])
+def made(tmp_path: Path, *given: str) -> tuple[RunConfig, folder.RunFolder, BusOptions]:
+    run_config = resolve("descent", [Override("test", given)])
     run = folder.make("test", run_config.files, out=tmp_path / "run")
     return run_config, run, BusOptions(connect=("tls/127.0.0.1:7447",), namespace="auv/7", certs=tmp_path / "certs")
 
@@ -38,9 +39,11 @@ def test_a_config_that_was_written_is_read_as_it_was_by_the_module_of_its_row(
 def test_settings_and_files_are_those_of_the_run_s_folder(tmp_path: Path) -> None:
     known = tmp_path / "known.csv"
     known.write_text("depth_m,v_north_mps,u_east_mps,sd_mps,sd_common_mps\n0,0,0,0.1,0\n50,0.5,-0.25,0.001,0\n")
-    of_run = made(tmp_path, "controller.horizon_s=7.3", f"estimator.water_prior={known}")
+    of_run = made(tmp_path, "controller.horizon_s=7.3", "run.compute_delay_s=0.1", f"estimator.water_prior={known}")
     controller, estimator = (process_table.config_of(name, *of_run) for name in ("controller", "estimator"))
-    assert controller.resolved().horizon_s == 7.3  # type: ignore[attr-defined]
-    prior = Path(estimator.loaded().water_prior)  # type: ignore[attr-defined]
+    assert isinstance(controller, settings.Controller)
+    assert isinstance(estimator, settings.Estimator)
+    assert (controller.resolved().horizon_s, controller.compute_delay_s) == (7.3, 0.1)
+    prior = Path(estimator.loaded().water_prior)
     assert prior.parent == (tmp_path / "run" / "config").absolute()
     assert prior.read_text() == known.read_text()
