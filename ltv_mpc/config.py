@@ -67,6 +67,8 @@ def read_toml(path: Path, *, what: str) -> dict[str, Any]:
         If the file cannot be read or is not valid TOML.
     """
     source = f"{what} {path}"
+    if path.suffix.lower() in (".kml", ".kmz"):
+        raise ConfigError(source, "", f"is KML: convert it, as with ogr2ogr {path.stem}.geojson {path.name}")
     text = read_text(path, what=what)
     try:
         return loads(text)

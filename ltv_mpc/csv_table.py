@@ -77,7 +77,8 @@ def read_table(
     for name in needed:
         if name not in names:
             all_names = " or ".join(", ".join(one) for one in alternatives)
-            known = (meanings or {}).get(name) or f"; the header must name {all_names}"
+            names_wanted = f"; the header must name {all_names}, separated by commas, semicolons or tabs"
+            known = (meanings or {}).get(name) or names_wanted
             raise ConfigError(source, f"line {line}", f"missing column {name}{known}")
     used = dict.fromkeys([*needed, *(name for name in optional if name in names)])
     for name in used:
@@ -90,10 +91,10 @@ def read_table(
         cells = _cells(text, separator)
         if any(cells[len(names) :]):
             problem = f"has {len(cells)} cells, the header names {len(names)} columns: "
-            if len(cells) == 2 * len(names):
-                problem += "decimal commas need cells separated by semicolons or tabs"
+            if len(cells) == 2 * len(names) or ";" in text:
+                problem += "decimal commas need cells and names separated by semicolons or tabs"
             else:
-                problem += "name each of them (write.table of R needs row.names = FALSE)"
+                problem += "name each of them (write.table of R needs row.names = FALSE); decimals need points"
             raise ConfigError(source, f"line {k}", problem)
         rows[k] = {
             name: _number(cells, names.index(name), f"line {k} {name}", separator, source, name in may_be_nan)

@@ -48,14 +48,15 @@ def read(path: Path, source: str) -> dict[str, Any] | None:
         If the file cannot be read, or holds what cannot be followed.
     """
     kind = path.suffix.lower()
-    if kind in (".kml", ".kmz"):
-        raise ConfigError(source, "", f"is KML: convert it, as with ogr2ogr {path.stem}.geojson {path.name}")
     if kind not in READERS:
         return None
     home, stops = READERS[kind](config.read_text(path, what="reference"), source)
     if not stops:
         raise ConfigError(source, "", "has no path and no point")
-    return reference_table(stops, home or _origin(stops[0].place.latitude_deg, stops[0].place.longitude_deg))
+    try:
+        return reference_table(stops, home or _origin(stops[0].place.latitude_deg, stops[0].place.longitude_deg))
+    except ValueError as error:
+        raise ConfigError(source, "", str(error)) from None
 
 
 Content = tuple[Origin | None, list[Stop]]
@@ -135,6 +136,8 @@ def _plan(text: str, source: str) -> Content:
                 raise ValueError(f"item {number} has {len(parameters)} of 7 parameters")
             items.append(Item(number, int(entry["command"]), int(entry["frame"]), parameters[:4], *parameters[4:]))
         cruise_mps = float(mission.get("cruiseSpeed", MAX_SPEED_MPS))  # type: ignore[union-attr]
+    except ConfigError:
+        raise
     except (AttributeError, TypeError, KeyError, ValueError, OverflowError) as error:
         raise ConfigError(source, "mission", f"is not that of a plan: {error}") from None
     return _mission(items, cruise_mps, source)

@@ -226,7 +226,7 @@ def _settled_motion(vehicle: Vehicle, F: Array) -> Array:
     motion, before, now = _StillWaterMotion(vehicle), np.ones(3), np.zeros(3)
     while np.abs(now - before).max() >= 1e-4 and motion.t_s < MAX_TIME_S:
         before = now
-        motion.until(_never, F, longest_s=motion.t_s + 5.0)
+        motion.until(lambda _: False, F, longest_s=motion.t_s + 5.0)
         now = motion.X[[2, 3, 5]]
     return now
 
@@ -281,7 +281,7 @@ def _quarter_turn(vehicle: Vehicle, starboard: bool) -> float | None:
     def turned(switch_s: float) -> tuple[float, float]:
         """Return the angle (rad) and the time (s) until the yaw rate is zero again, if reversed at ``switch_s``."""
         motion = _StillWaterMotion(vehicle)
-        motion.until(_never, turning, longest_s=switch_s - 0.5 * STEP_S)
+        motion.until(lambda _: False, turning, longest_s=switch_s - 0.5 * STEP_S)
         motion.until(lambda X: sign * X[5] <= 0.0, reversed_turning)
         return sign * float(motion.X[4]), motion.t_s
 
@@ -296,8 +296,3 @@ def _quarter_turn(vehicle: Vehicle, starboard: bool) -> float | None:
         else:
             early = middle
     return turned(late)[1]
-
-
-def _never(X: Array) -> bool:
-    del X
-    return False

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from pathlib import Path
-from typing import Literal, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias
 
 import msgspec
 
@@ -23,15 +23,45 @@ MAX_PORT = 2**16 - 1
 Mode: TypeAlias = Literal["client", "peer", "router"]
 
 
+def setting(metavar: str, about: str, *names: str, argument: bool = False, **bounds: Any) -> msgspec.Meta:
+    """Return the description of a struct's field that is an option of the command line, or a positional argument.
+
+    Parameters
+    ----------
+    metavar : value in help; empty for a flag.
+    about : line of help.
+    names : further names of the option.
+    argument : True for a positional argument.
+    bounds : ``ge`` and ``le``.
+    """
+    extra: dict[str, Any] = {"metavar": metavar or None, "names": names, "argument": argument}
+    return msgspec.Meta(description=about, extra=extra, **bounds)
+
+
 class BusOptions(msgspec.Struct, frozen=True, kw_only=True):
     """Options of a process's bus connection: -e, -l, -m, -c, --namespace and --certs, named as in Zenoh."""
 
-    connect: tuple[str, ...] = ()
-    listen: tuple[str, ...] = ()
-    mode: Mode | None = None  # default: router if it listens, else client
-    config: Path | None = None  # a Zenoh configuration; default: $ZENOH_CONFIG, if that is set
-    namespace: str = ""  # put before every key: one per vehicle or run
-    certs: Path | None = None  # folder of certificates; every link then uses mutual TLS
+    connect: Annotated[
+        tuple[str, ...],
+        setting(
+            "ENDPOINT",
+            "Connect to this endpoint; repeatable. Default tcp/127.0.0.1:7447, with --certs tls/127.0.0.1:7447.",
+            "-e",
+        ),
+    ] = ()
+    listen: Annotated[
+        tuple[str, ...], setting("ENDPOINT", "Listen on this endpoint as the router; repeatable.", "-l")
+    ] = ()
+    mode: Annotated[Mode | None, setting("MODE", "client, peer or router.", "-m")] = None
+    config: Annotated[
+        Path | None,
+        setting("FILE", "Zenoh configuration file (JSON5). Default: $ZENOH_CONFIG, if it is set.", "-c"),
+    ] = None
+    namespace: Annotated[str, setting("NAME", "Prefix of every key: one for each vehicle.")] = ""
+    certs: Annotated[
+        Path | None,
+        setting("DIR", "Use mTLS with the certificates in this folder; `ltv-mpc certs new DIR` creates them."),
+    ] = None
     role: str = ""  # role of this process, whose certificate it uses
     timestamps: bool = False  # Zenoh stamps each message, as nodes of rmw_zenoh do; latched topics need it
 

@@ -23,10 +23,10 @@ from services.cli.dives import dive, localise
 from services.cli.edges import mavlink, ros2
 from services.cli.measure import campaign, profile, qp
 from services.cli.options import flag
-from services.cli.processes import estimator, plant, recorder, router, sensors
+from services.cli.processes import controller, estimator, plant, recorder, router, sensors
 from services.cli.runs import log, replay, report
 from services.cli.start import completion, dashboard, doctor, sim, watch
-from services.cli.vehicle import controller, vehicle
+from services.cli.vehicle import vehicle
 from services.runtime.console import WIDTH, escape_output, fold
 
 PANELS: dict[str, tuple[Callable[..., object] | typer.Typer, ...]] = {

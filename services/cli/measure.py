@@ -18,7 +18,6 @@ from services.cli.options import (
     needs,
     option,
     plots_or_a_line,
-    resolved,
     show,
 )
 
@@ -181,6 +180,7 @@ def export_c(
     Build and run the sample: make -C DIR && DIR/emosqp
     """
     from ltv_mpc.vehicle.parameters import Vehicle
+    from services.processes.settings import resolved
     from services.run import folder as folders
 
     loaded = Vehicle.load(vehicle)

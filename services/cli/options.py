@@ -5,23 +5,21 @@ The bus options -e, -l, -m, -c, --namespace and --certs are one block, which ``w
 
 from __future__ import annotations
 
+import importlib
 import inspect
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, get_type_hints
+from typing import Annotated, Any, TypeAlias, get_args, get_origin, get_type_hints
 
 import typer
+from msgspec import structs
 
 from ltv_mpc.errors import ConfigError
-
-if TYPE_CHECKING:
-    from ltv_mpc.control.config import ResolvedConfig
-    from ltv_mpc.vehicle.parameters import Vehicle
-    from services.bus.options import BusOptions as BusOptions
-else:
-    BusOptions = Any  # help imports no types: it stays fast
+from services.bus.options import SECURE, endpoint_error
+from services.bus.options import BusOptions as BusOptions
+from services.processes.settings import Controller, Estimator, Plant
 
 
 def option(metavar: str, help_: str, *names: str, **more: Any) -> Any:
@@ -47,24 +45,41 @@ def group(name: str, about: str) -> typer.Typer:
     return made
 
 
-VehicleFile: TypeAlias = Annotated[str, option("NAME|FILE", "Vehicle: a shipped name or a TOML file.")]
+def options_of(struct: type[Any], panel: str | None = None) -> list[inspect.Parameter]:
+    """Return the options of a struct: each field that ``services.bus.options.setting`` describes."""
+    made = []
+    for field in structs.fields(struct):
+        for annotated in (kind for kind in (field.type, *get_args(field.type)) if get_origin(kind) is Annotated):
+            kind, meta = get_args(annotated)
+            names, default = (f"--{field.name.replace('_', '-')}", *meta.extra["names"]), field.default
+            if kind == tuple[str, ...]:
+                kind, default = list[str], None
+            common = {"metavar": meta.extra["metavar"], "help": meta.description, "min": meta.ge, "max": meta.le}
+            declared = (
+                typer.Argument(**common)
+                if meta.extra["argument"]
+                else typer.Option(*names, **common, rich_help_panel=panel)
+            )
+            one = inspect.Parameter(field.name, inspect.Parameter.KEYWORD_ONLY, default=default)
+            made.append(one.replace(annotation=Annotated[kind, declared]))
+    return made
+
+
+def option_of(struct: type[Any], name: str, panel: str | None = None) -> Any:
+    """Return the option or argument of one field of a struct, for a command that has the same one."""
+    return next(get_args(one.annotation)[1] for one in options_of(struct, panel) if one.name == name)
+
+
+VehicleFile: TypeAlias = Annotated[str, option_of(Controller, "vehicle")]
 ShownVehicle: TypeAlias = Annotated[
     str | None, option("NAME|FILE", "Vehicle whose thrust limits are shown. Default: none.")
 ]
-SensorsFile: TypeAlias = Annotated[str, option("NAME|FILE", "Sensors: a shipped name or a TOML file.")]
-ControllerSettings: TypeAlias = Annotated[
-    Path | None, option("FILE", "TOML file with keys of [controller], without that header.")
-]
-ScenarioName: TypeAlias = Annotated[
-    str,
-    argument("SCENARIO", "Shipped name (demo, descent, hover, paper-5s, paper-2.5s, paper-no-control) or a TOML file."),
-]
-FenceFile: TypeAlias = Annotated[str | None, option("FILE", "Keep-in and keep-out zones, docs/fences.md.")]
+SensorsFile: TypeAlias = Annotated[str, option_of(Estimator, "sensors")]
+ControllerSettings: TypeAlias = Annotated[Path | None, option_of(Controller, "settings")]
+ScenarioName: TypeAlias = Annotated[str, option_of(Plant, "scenario")]
+FenceFile: TypeAlias = Annotated[str | None, option_of(Controller, "fence")]
 Out: TypeAlias = Annotated[Path | None, option("DIR", "Folder to write. Default: runs/TIME-NAME (UTC).")]
 Force: TypeAlias = Annotated[bool, flag("--force", "Write into a folder that is not empty.")]
-LogJson: TypeAlias = Annotated[
-    bool, flag("--log-json", "Print each line on stderr as a JSON object, for a log collector.")
-]
 Json: TypeAlias = Annotated[bool, flag("--json", "Print only the result, as JSON, on stdout.")]
 
 
@@ -96,19 +111,6 @@ def plots_or_a_line(what: str, *, wanted: bool = False) -> Iterator[None]:
         typer.echo(f"{what}: {missing}", err=True)
         if wanted:
             raise typer.Exit(1) from None
-
-
-def resolved(vehicle: Vehicle, settings: Path | None, **given: float | None) -> ResolvedConfig:
-    """Return the controller's settings, in which a given value replaces that of the file. Raises ``ConfigError``."""
-    from msgspec.structs import replace
-
-    from ltv_mpc.control.config import ControllerConfig
-    from ltv_mpc.control.resolution import settled
-
-    control = ControllerConfig() if settings is None else ControllerConfig.load(str(settings))
-    control = replace(control, **{name: value for name, value in given.items() if value is not None})
-    source = "options --rate-hz, --horizon-s" if settings is None else f"controller settings {settings}"
-    return settled(control, vehicle, source=source)
 
 
 def show(result: object, text: Callable[[], str], *, as_json: bool) -> str:
@@ -145,55 +147,29 @@ def with_options(
     return command
 
 
-bus_option = partial(option, rich_help_panel="Bus options (those of Zenoh)")
+BUS_PANEL = "Bus options (those of Zenoh)"
 
-Certs: TypeAlias = Annotated[
-    Path | None,
-    bus_option("DIR", "Use mTLS with the certificates in this folder; `ltv-mpc certs new DIR` creates them."),
-]
+Certs: TypeAlias = Annotated[Path | None, option_of(BusOptions, "certs", BUS_PANEL)]
 
 
-def _block(
-    connect: Annotated[
-        list[str] | None,
-        bus_option(
-            "ENDPOINT",
-            "Connect to this endpoint; repeatable. Default tcp/127.0.0.1:7447, with --certs tls/127.0.0.1:7447.",
-            *("--connect", "-e"),
-        ),
-    ] = None,
-    listen: Annotated[
-        list[str] | None, bus_option("ENDPOINT", "Listen on this endpoint as the router; repeatable.", "--listen", "-l")
-    ] = None,
-    mode: Annotated[str | None, bus_option("MODE", "client, peer or router.", "--mode", "-m")] = None,
-    config: Annotated[
-        Path | None,
-        bus_option("FILE", "Zenoh configuration file (JSON5). Default: $ZENOH_CONFIG, if it is set.", "--config", "-c"),
-    ] = None,
-    namespace: Annotated[str, bus_option("NAME", "Prefix of every key: one for each vehicle.")] = "",
-    certs: Certs = None,
-) -> None:
-    """Declare the bus options."""
+def _struct_of(struct: type[Any], **given: Any) -> Any:
+    """Return the struct of the options that are given."""
+    plain = {name: tuple(value) if isinstance(value, list) else value for name, value in given.items()}
+    return struct(**{name: value for name, value in plain.items() if value is not None})
 
 
-def _collect(
-    connect: list[str] | None, listen: list[str] | None, certs: Path | None, *, role: str, **more: Any
-) -> BusOptions:
+def _checked(*, role: str, **given: Any) -> BusOptions:
     """Check the bus options and return them as one. ``role`` selects the certificate. Raises ``ConfigError``."""
-    from msgspec import structs
-
-    from ltv_mpc.config import parse, read_text
-    from services.bus.options import BusOptions
+    from ltv_mpc.config import read_text
     from services.bus.session import configuration
 
-    for name, endpoints in (("--connect", connect), ("--listen", listen)):
-        for endpoint in endpoints or ():
-            check_endpoint(name, endpoint, certs)
-    if (config := more.pop("config")) is not None:
-        read_text(config, what="Zenoh configuration")
-    check_namespace(more["namespace"])
-    parsed = parse({"connect": connect or (), "listen": listen or (), **more}, BusOptions, source="option --mode")
-    options = structs.replace(parsed, config=config, certs=certs, role=role)
+    options: BusOptions = _struct_of(BusOptions, **given, role=role)
+    for name, endpoints in (("--connect", options.connect), ("--listen", options.listen)):
+        for endpoint in endpoints:
+            check_endpoint(name, endpoint, options.certs)
+    if options.config is not None:
+        read_text(options.config, what="Zenoh configuration")
+    check_namespace(options.namespace)
     configuration(options)  # Zenoh checks the options before any file is written or process started
     return options
 
@@ -203,14 +179,25 @@ def with_bus(role: str = "") -> Callable[[Callable[..., int]], Callable[..., int
 
     ``role`` selects the certificate that the command uses with --certs.
     """
-    block, collect = parameters(_block), partial(_collect, role=role)
+    block, collect = options_of(BusOptions, BUS_PANEL), partial(_checked, role=role)
     return lambda function: with_options(function, block, "bus", collect)
+
+
+def process_command(settings: type[Any]) -> Callable[..., int]:
+    """Return the command of a process, named after the struct of its settings, which are its options."""
+    name = settings.__name__.lower()
+
+    def command(given: dict[str, Any], bus: BusOptions) -> int:
+        process = importlib.import_module(f"services.processes.{name}")
+        code: int = process.main(_struct_of(settings, **given, bus=bus))
+        return code
+
+    command.__name__, command.__doc__ = name, settings.__doc__
+    return with_bus(name)(with_options(command, options_of(settings), "given", dict))
 
 
 def check_endpoint(option: str, endpoint: str, certs: Path | None) -> None:
     """Raise ``ConfigError`` if Zenoh cannot use the endpoint, or if it is not secure although certificates are used."""
-    from services.bus.options import SECURE, endpoint_error
-
     if problem := endpoint_error(endpoint):
         raise invalid(f"option {option}", problem, value=endpoint)
     if certs is not None and not endpoint.startswith(f"{SECURE}/"):

@@ -1,4 +1,4 @@
-"""Panel "Your vehicle": ``controller``, and ``vehicle new``, ``check`` and ``identify``."""
+"""Panel "Your vehicle": ``vehicle new``, ``check`` and ``identify``."""
 
 from __future__ import annotations
 
@@ -8,89 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from services.cli.options import (
-    BusOptions,
-    ControllerSettings,
-    FenceFile,
-    Json,
-    LogJson,
-    VehicleFile,
-    argument,
-    flag,
-    group,
-    invalid,
-    option,
-    resolved,
-    show,
-    with_bus,
-)
+from services.cli.options import ControllerSettings, FenceFile, Json, argument, flag, group, invalid, option, show
 
 if TYPE_CHECKING:
     from ltv_mpc.bathymetry import Bathymetry
     from ltv_mpc.references import Origin
-
-
-@with_bus("controller")
-def controller(
-    vehicle: VehicleFile = "paper",
-    reference: Annotated[str, option("NAME|FILE", "Path or point to follow, docs/references.md.")] = "descent",
-    settings: ControllerSettings = None,
-    fence: FenceFile = None,
-    bathymetry: Annotated[str | None, option("FILE", "Soundings of the bottom: CSV, docs/motion-limits.md.")] = None,
-    compute_delay_s: Annotated[float, option("D", "Delay each plan by this much (s).", min=0, max=60)] = 0.0,
-    rate_hz: Annotated[float | None, option("R", "Cycles a second. Default 3.33.", min=0.02, max=50)] = None,
-    horizon_s: Annotated[
-        float | None, option("H", "Length of a plan (s). Default: proposed by `vehicle check`.", min=0.3, max=120)
-    ] = None,
-    metrics: Annotated[
-        int | None, option("PORT", "Serve /metrics for Prometheus on 127.0.0.1.", min=1, max=65535)
-    ] = None,
-    input_delay_s: Annotated[
-        float, option("D", "Least delay of an estimate (s), without clock and plan reports in applied.", min=0, max=10)
-    ] = 0.0,
-    failed_qps: Annotated[Path | None, option("DIR", "Store unsolved QPs here, for `ltv-mpc qp show`.")] = None,
-    log_json: LogJson = False,
-    state: Annotated[Path | None, option("DIR", "Keep a checkpoint here, and continue from it after a start.")] = None,
-    resume_armed: Annotated[bool, flag("--resume-armed", "Continue armed; without it: disarmed.")] = False,
-    resume_within_s: Annotated[
-        float, option("S", "Largest age of a checkpoint that arms (s).", min=0, max=3600)
-    ] = 60.0,
-    *,
-    bus: BusOptions,
-) -> int:
-    """Run the controller alone, with your publishers.
-
-    Reads estimate, applied, command and manual; writes plan, acknowledged and controller/status. It starts disarmed:
-    `ltv-mpc ctl arm`. Without a clock topic it takes the time from the stamps of the estimates, whatever their origin.
-    """
-    from ltv_mpc import references
-    from ltv_mpc.geofence.fence import fence_for
-    from ltv_mpc.vehicle.parameters import Vehicle
-
-    if resume_armed and state is None:
-        raise invalid("option --resume-armed", "needs --state DIR, the folder of the checkpoint")
-    parameters = Vehicle.load(vehicle)
-    fence_for(parameters, references.load(reference), fence or "")
-    control = resolved(parameters, settings, period_s=rate_hz and 1.0 / rate_hz, horizon_s=horizon_s)
-    from services.processes import controller as process
-
-    return process.main(
-        process.Config(
-            bus=bus,
-            vehicle=vehicle,
-            reference=reference,
-            fence=fence or "",
-            bathymetry=bathymetry or "",
-            settings=control,
-            compute_delay_s=compute_delay_s,
-            input_delay_s=input_delay_s,
-            metrics_port=metrics,
-            failed_qps=failed_qps,
-            log_json=log_json,
-            state=state,
-            resume_within_s=resume_within_s if resume_armed else None,
-        )
-    )
 
 
 vehicle = group("vehicle", "Create, check or identify a vehicle file.")

@@ -44,6 +44,7 @@ from ltv_mpc.safety import thrust_loss_detector
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.options import BusOptions
 from services.bus.topics import BY_TYPE, Topic
+from services.processes import settings
 from services.processes.checkpoint import Checkpoint
 from services.run.settings_files import TOO_LARGE, controller_files, node_settings
 from services.runtime import metrics as prometheus
@@ -55,50 +56,34 @@ from services.runtime.service_manager import SERVICE_MANAGER
 from services.runtime.stage_timer import StageTimer
 from services.runtime.stopping import FAILED, Say
 
-
-class Config(msgspec.Struct, frozen=True, kw_only=True):
-    """Settings of the controller process."""
-
-    bus: BusOptions
-    vehicle: str = "paper"  # NAME or FILE
-    reference: str = "descent"  # NAME or FILE
-    fence: str = ""  # FILE; empty: none
-    bathymetry: str = ""  # FILE; empty: none
-    settings: ResolvedConfig
-    compute_delay_s: float = 0.0  # added between a plan and its publication
-    input_delay_s: float = 0.0  # smallest delay of an estimate, if no clock exchange measures it
-    metrics_port: int | None = None  # port on loopback of the Prometheus metrics
-    failed_qps: Path | None = None  # folder for QPs that were not solved
-    log_json: bool = False  # lines on stderr as JSON objects
-    state: Path | None = None  # folder of the checkpoint
-    resume_within_s: float | None = None  # largest age of a checkpoint that arms the vehicle; None: none does
+Config = settings.Controller
 
 
 def main(config: Config) -> int:
     """Run the controller node until it is stopped. Returns the exit code."""
     vehicle, reference = Vehicle.load(config.vehicle), references.load(config.reference)
-    fence = fence_for(vehicle, reference, config.fence)
-    settings, bus = config.settings, config.bus
-    bottom = bathymetry_for(reference, settings.limits, config.bathymetry)
+    fence_file, soundings, arms_within_s = config.fence or "", config.bathymetry or "", config.arms_within_s
+    fence = fence_for(vehicle, reference, fence_file)
+    settings, bus = config.resolved(), config.bus
+    bottom = bathymetry_for(reference, settings.limits, soundings)
     metrics, console = prometheus.Metrics(), Console(ControllerNode.name, as_json=config.log_json)
     SERVICE_MANAGER.connect(os.environ)
     with contextlib.ExitStack() as stack:
-        if config.metrics_port is not None:
+        if config.metrics is not None:
             try:
-                stack.enter_context(prometheus.serving(metrics, config.metrics_port))
+                stack.enter_context(prometheus.serving(metrics, config.metrics))
             except OSError as error:
-                console.say(f"--metrics {config.metrics_port}: {error.strerror}")
+                console.say(f"--metrics {config.metrics}: {error.strerror}")
                 return FAILED
         checkpoint = None
         if config.state is not None:
-            within_s = config.resume_within_s
-            checkpoint = Checkpoint(config.state, to_toml(reference), resume_within_s=within_s, console=console)
+            checkpoint = Checkpoint(config.state, to_toml(reference), resume_within_s=arms_within_s, console=console)
             stack.callback(checkpoint.close)
         SERVICE_MANAGER.status("compiling")
         warm_up(vehicle, reference, settings)
         SERVICE_MANAGER.status("waiting for the router")
         node_stages = StageTimer()
-        files = controller_files(config.vehicle, config.reference, config.fence, config.bathymetry, settings)
+        files = controller_files(config.vehicle, config.reference, fence_file, soundings, settings)
         published = node_settings(ControllerNode.name, files)
         recorder = QpRecorder()
         make_solver = make if config.failed_qps is None else recorder

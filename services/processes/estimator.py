@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import os
 
-import msgspec
-
+from ltv_mpc.errors import ConfigError
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.sensor_config import SensorConfig
@@ -14,7 +13,8 @@ from ltv_mpc.localisation.sensors.imu import IMU
 from ltv_mpc.localisation.sensors.sensor import Availability
 from ltv_mpc.messages import ImuSample, ImuSamples
 from ltv_mpc.node import ReceivedMessage
-from services.bus.options import BusOptions
+from ltv_mpc.vehicle.parameters import Vehicle
+from services.processes import settings
 from services.run.settings_files import TOO_LARGE, estimator_files, node_settings
 from services.run.water import load_prior
 from services.runtime.clock import monotonic_us
@@ -23,19 +23,16 @@ from services.runtime.runner import Runner
 from services.runtime.service_manager import SERVICE_MANAGER
 from services.runtime.supervisor_link import SUPERVISOR_LINK
 
-
-class Config(msgspec.Struct, frozen=True, kw_only=True):
-    """Settings of the estimator process."""
-
-    bus: BusOptions
-    sensors: str = "paper"  # NAME or FILE
-    settings: EstimatorConfig = EstimatorConfig()
-    log_json: bool = False  # lines on stderr as JSON objects
+Config = settings.Estimator
 
 
 def main(config: Config) -> int:
     """Run the estimator until it is stopped; return the exit code."""
-    sensor_config, settings = SensorConfig.load(config.sensors), config.settings
+    vehicle = Vehicle.load(config.vehicle)
+    if vehicle != vehicle.at_origin():
+        problem = "must be 0 or left out: this estimator publishes the vehicle's origin; the controller's likewise"
+        raise ConfigError(f"vehicle {config.vehicle}: [reference_point]", "", problem)
+    sensor_config, settings = SensorConfig.load(config.sensors), config.loaded()
     prior = load_prior(settings)
     SERVICE_MANAGER.connect(os.environ)
     SERVICE_MANAGER.status("compiling")

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import msgspec
-
-from services.bus.options import BusOptions
+from services.processes import settings
 from services.run.run_config import RunConfig, resolve
 from services.runtime.clock_master import ClockMasterSettings
 from services.runtime.console import Console
@@ -13,14 +11,7 @@ from services.runtime.runner import Runner
 from services.runtime.stopping import DONE, FAILED
 from sim.plant import Plant
 
-
-class Config(msgspec.Struct, frozen=True, kw_only=True):
-    """Configuration of the plant process."""
-
-    bus: BusOptions
-    scenario: str  # NAME or FILE
-    expects: tuple[str, ...] = ()  # further nodes that the clock waits for
-    log_json: bool = False  # lines on stderr as JSON objects
+Config = settings.Plant
 
 
 def main(config: Config) -> int:
@@ -32,7 +23,7 @@ def main(config: Config) -> int:
         start_ns=scenario.start_ns,
         end_ns=scenario.end_ns,
         speed=scenario.run.speed,
-        expects=("sensors", *estimator, "controller", *config.expects),
+        expects=("sensors", *estimator, "controller", *config.expect),
     )
     warm_up(run_config)
     runner = Runner(_make(run_config), clock=ClockOptions(master=clock_master))

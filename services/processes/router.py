@@ -15,17 +15,20 @@ import msgspec
 
 from ltv_mpc.messages import Clock, NodeStatus, RunEvent
 from services.bus.denials import LOG_FILTER, Denials
-from services.bus.options import BusOptions
 from services.bus.outbox import Outbox, new_epoch
 from services.bus.roles import ROUTER
 from services.bus.session import Session, log_to_stdout, open_session
 from services.bus.topics import BY_TYPE, Topic
 from services.bus.wire import WireError, decode
+from services.processes import settings
 from services.runtime.clock import ClockError, VehicleClock, monotonic_us
 from services.runtime.console import Console, tenfold
 from services.runtime.serve import run_until_stopped
 from services.runtime.stopping import Say, StopRequest
 from services.runtime.supervisor_link import HEARTBEAT_PERIOD_US, SUPERVISOR_LINK
+
+Config = settings.Router
+
 
 STATUS_US = 500_000
 PULSE_S = HEARTBEAT_PERIOD_US / 1e6
@@ -35,13 +38,6 @@ PAUSE_S = 0.05
 
 LOG_BYTES = 1 << 20
 """Size of the log's pipe, for the lines between two reads. A full pipe would block the router."""
-
-
-class Config(msgspec.Struct, frozen=True, kw_only=True):
-    """Configuration of the router process."""
-
-    bus: BusOptions
-    log_json: bool = False  # lines on stderr as JSON objects
 
 
 def main(config: Config) -> int:

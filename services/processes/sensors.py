@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import msgspec
-
 from ltv_mpc.messages import Truth
 from ltv_mpc.node import ReceivedMessage
-from services.bus.options import BusOptions
+from services.processes import settings
 from services.run.run_config import RunConfig, resolve
 from services.runtime.console import Console
 from services.runtime.process_time import ClockOptions
@@ -14,13 +12,7 @@ from services.runtime.runner import Runner
 from sim.plant import STEP_NS
 from sim.sensors.node import Sensors
 
-
-class Config(msgspec.Struct, frozen=True, kw_only=True):
-    """Settings of the sensors process."""
-
-    bus: BusOptions
-    scenario: str  # NAME or FILE
-    log_json: bool = False  # lines on stderr as JSON objects
+Config = settings.Sensors
 
 
 def main(config: Config) -> int:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import msgspec
 
 from services.bus.options import BusOptions
+from services.processes import settings
 from services.run.folder import RunFolder
 from services.run.run_config import RunConfig
-from services.run.settings_files import BATHYMETRY, PRIOR
+from services.run.settings_files import BATHYMETRY
 from sim.scenario import Scenario
 
 
@@ -42,36 +43,33 @@ def config_of(name: str, run_config: RunConfig, folder: RunFolder, bus: BusOptio
 
     The process reads its settings from the run's own folder.
     """
-    # Imported here: a reader of the table alone does not need them, and the router starts before the others are loaded.
-    from services.processes import router
-
     scenario, folder = run_config.scenario, RunFolder(folder.path.absolute())
     bus = msgspec.structs.replace(bus, role=name)
-    if name == "router":
-        return router.Config(bus=msgspec.structs.replace(bus, connect=(), listen=bus.connect))
-    from services.processes import controller, estimator, plant, recorder, sensors
-
     match name:
+        case "router":
+            return settings.Router(bus=msgspec.structs.replace(bus, connect=(), listen=bus.connect))
         case "recorder":
-            metadata = recorder.metadata(scenario.run.seed, run_config.files)
-            return recorder.Config(bus=bus, folder=folder.path, start_ns=scenario.start_ns, metadata=metadata)
+            metadata = settings.recording_metadata(scenario.run.seed, run_config.files)
+            return settings.Recorder(bus=bus, folder=folder.path, start_ns=scenario.start_ns, metadata=metadata)
         case "plant":
-            return plant.Config(bus=bus, scenario=str(folder.scenario), expects=("recorder",))
+            return settings.Plant(bus=bus, scenario=str(folder.scenario), expect=("recorder",))
         case "sensors":
-            return sensors.Config(bus=bus, scenario=str(folder.scenario))
+            return settings.Sensors(bus=bus, scenario=str(folder.scenario))
         case "estimator":
-            settings = scenario.estimator
-            if settings.water_prior:
-                settings = msgspec.structs.replace(settings, water_prior=str(folder.path / "config" / PRIOR))
-            return estimator.Config(bus=bus, sensors=str(folder.config("sensors")), settings=settings)
+            return settings.Estimator(
+                bus=bus,
+                vehicle=str(folder.config("vehicle")),
+                sensors=str(folder.config("sensors")),
+                settings=folder.config("estimator"),
+            )
         case "controller":
-            return controller.Config(
+            return settings.Controller(
                 bus=bus,
                 vehicle=str(folder.config("vehicle")),
                 reference=str(folder.config("reference")),
-                fence=str(folder.config("fence")) if run_config.fence is not None else "",
-                bathymetry=str(folder.path / BATHYMETRY) if run_config.bathymetry is not None else "",
-                settings=run_config.controller,
+                settings=folder.config("controller"),
+                fence=str(folder.config("fence")) if run_config.fence is not None else None,
+                bathymetry=str(folder.path / BATHYMETRY) if run_config.bathymetry is not None else None,
                 compute_delay_s=scenario.run.compute_delay_s,
                 failed_qps=folder.path / "failed-qps",
             )

@@ -119,6 +119,8 @@ PRIOR = "depth_m,v_north_mps,u_east_mps,sd_mps,sd_common_mps\n"
         (read_profile, HEADER + '"1",0.5,0.11,0.02\n', ["line 2", "4 cells", "names 3 columns", "row.names = FALSE"]),
         (read_profile, HEADER + "0,0,0,10,-0,05\n", ["line 2", "6 cells", "decimal commas", "semicolons"]),
         (read_profile, HEADER + "0;0;0\n", ["line 2 depth_m", "0;0;0", "number"]),
+        (read_profile, HEADER + "0,5;0,11;0,02\n", ["line 2", "4 cells", "names separated by semicolons"]),
+        (read_profile, HEADER.replace(",", "|"), ["line 1", "separated by commas, semicolons or tabs"]),
         (read_profile, HEADER + "0," + "1" * 100_001, ["line 2", "100003 characters", "at most 100000"]),
     ],
 )

@@ -52,11 +52,6 @@ class Bound(NamedTuple):
         """Bound on the drift along one horizontal axis (m), (M,)."""
         return np.sqrt(0.5 * (self.drift[:, 0, 0] + self.drift[:, 1, 1]))
 
-    @property
-    def velocity_rms_mps(self) -> Array:
-        """Bound on the velocity along one horizontal axis (m/s), (M,)."""
-        return np.sqrt(0.5 * (self.covariance[:, 3, 3] + self.covariance[:, 4, 4]))
-
 
 def bound(
     sensor_config: SensorConfig,

@@ -5,11 +5,12 @@ from __future__ import annotations
 import msgspec
 import pytest
 
-from ltv_mpc import Controller, ControllerConfig, Estimate, Vehicle, advance, references
+from ltv_mpc import Controller, ControllerConfig, Estimate, Vehicle, references
 from ltv_mpc.control.config import Disturbance
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.messages import Action, Command, ControllerState, Plan
 from ltv_mpc.node import ReceivedMessage
+from tests.ltv_mpc.control.flights import fly
 
 PAPER = Vehicle.load("paper")
 PLACE = references.Place
@@ -23,24 +24,13 @@ def at(estimate: Estimate, north_m: float, t_s: float, **changes: float) -> Esti
     return msgspec.structs.replace(estimate, north_m=north_m, t_ns=round(t_s * 1e9), **changes)
 
 
-def flown(controller: Controller, estimate: Estimate, seconds: float) -> list[tuple[Estimate, Plan]]:
-    """Fly by the nominal model; return each cycle's estimate and plan."""
-    cycles = []
-    until_ns = estimate.t_ns + seconds * 1e9
-    while estimate.t_ns < until_ns:
-        plan = controller.plan(estimate)
-        cycles.append((estimate, plan))
-        estimate = advance(PAPER, estimate, plan, duration_s=0.3)
-    return cycles
-
-
 @pytest.mark.parametrize("reference", [LINE, POINT])
 def test_it_arrives_once_within_half_a_metre_of_the_end(reference):
-    cycles = flown(Controller(PAPER, reference), START, 40.0)
-    arrived = [plan.arrived for _, plan in cycles]
+    way, plans = fly(Controller(PAPER, reference), START, 134)
+    arrived, north_m = [plan.arrived for plan in plans], [START.north_m, *(estimate.north_m for estimate in way)]
     first = arrived.index(True)
-    assert 2.5 - 0.2 <= cycles[first][0].north_m <= 3.01  # at most the way of one cycle later
-    assert cycles[first - 1][0].north_m < 2.5 + (reference is LINE)  # and not before the target
+    assert 2.5 - 0.2 <= north_m[first] <= 3.01  # at most the way of one cycle later
+    assert north_m[first - 1] < 2.5 + (reference is LINE)  # and not before the target
     assert all(arrived[first:])
 
 

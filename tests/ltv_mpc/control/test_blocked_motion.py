@@ -121,7 +121,7 @@ def test_a_wrong_buoyancy_is_still_learned(off_N: float, damping_kgps: float) ->
     heave = Translation(mass_kg=225.0, linear_damping_kgps=damping_kgps, quadratic_damping_kgpm=800.0)
     model = replace(PAPER, heave=heave)
     true = replace(model, net_buoyancy_N=PAPER.net_buoyancy_N + off_N)
-    way, _ = fly(controller_of(model, 8.0), Estimate.at_rest(depth_m=8.0), 300.0 + damping_kgps, free, true)
+    way, _ = fly(controller_of(model, 8.0), Estimate.at_rest(depth_m=8.0), 200.0 + damping_kgps, free, true)
     assert way[-1].depth_m == pytest.approx(8.0, abs=0.02)
 
 

@@ -17,6 +17,7 @@ from ltv_mpc.control.vertical import VerticalPlan, follow_depth
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Health
 from ltv_mpc.safety.plan_gate import TOLERANCE_N
+from tests.ltv_mpc.control.flights import fly
 
 PAPER = Vehicle.load("paper")
 POINT = references.Point(north_m=0.0, east_m=0.0)
@@ -49,9 +50,7 @@ def test_plans_join_without_a_jump_and_stay_inside_box_and_slew(closed_loop):
 def test_the_plan_s_states_are_what_the_vehicle_then_does(profile):
     estimate = msgspec.structs.replace(Estimate.at_rest(north_m=1.0, depth_m=5.0), current=profile(3))
     controller = Controller(PAPER, references.Point(north_m=0.0, east_m=0.0, depth_m=30.0))
-    for _ in range(5):
-        plan = controller.plan(estimate)
-        estimate = advance(PAPER, estimate, plan, duration_s=0.3)
+    estimate = fly(controller, estimate, 5)[0][-1]
     plan = controller.plan(estimate)
     start_s = (int(plan.t_ns[0]) - estimate.t_ns) * 1e-9
     for knot in (0, 5, 17):
@@ -68,13 +67,8 @@ def test_the_descent_holds_the_line_where_an_uncontrolled_vehicle_drifts(closed_
 
 @pytest.mark.parametrize(("north", "heading"), [(2.0, 1.0), (2.0, 3.0), (-2.0, 1.57), (5.0, -1.57)])
 def test_from_metres_off_with_a_wrong_heading_it_returns_and_stays(north, heading):
-    controller = Controller(PAPER, POINT)
-    estimate = Estimate.at_rest(north_m=north, heading_rad=heading)
-    for _ in range(240):
-        plan = controller.plan(estimate)
-        estimate = advance(PAPER, estimate, plan, duration_s=0.3)
-        assert plan.origin is PlanOrigin.SOLVED
-    assert distance(estimate) < 0.1
+    way, _ = fly(Controller(PAPER, POINT), Estimate.at_rest(north_m=north, heading_rad=heading), 240)
+    assert distance(way[-1]) < 0.1
 
 
 def test_delay_is_compensated(closed_loop):
@@ -115,17 +109,9 @@ def test_an_unknown_solver_is_rejected_by_name():
 # --- depth -----------------------------------------------------------------------------------------------------------
 
 
-def sink(depth_m: float, rate: float, seconds: float, vehicle: Vehicle = PAPER) -> list[Estimate]:
-    controller = Controller(PAPER, references.Point(north_m=0, east_m=0, depth_m=depth_m, descent_rate_mps=rate))
-    estimate, out = Estimate.at_rest(depth_m=0.0), []
-    for _ in range(round(seconds / 0.3)):
-        estimate = advance(vehicle, estimate, controller.plan(estimate), duration_s=0.3)
-        out.append(estimate)
-    return out
-
-
 def test_it_ramps_to_a_depth_and_holds_it():
-    way = sink(8.0, 0.15, 120)
+    reference = references.Point(north_m=0, east_m=0, depth_m=8.0, descent_rate_mps=0.15)
+    way, _ = fly(Controller(PAPER, reference), Estimate.at_rest(depth_m=0.0), 400)
     assert way[100].depth_m == pytest.approx(0.15 * 30.3, abs=0.35)
     assert max(e.depth_m for e in way) < 8.3
     assert way[-1].depth_m == pytest.approx(8.0, abs=0.02)

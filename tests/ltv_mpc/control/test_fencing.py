@@ -296,7 +296,7 @@ def test_before_a_target_without_a_way_to_it_the_vehicle_rests() -> None:
     ]
     fence, of, water = walls(*closed), controller(Point(north_m=12.0, east_m=0.0)), (-0.1, 0.05)
     of.set_fence(fence)
-    track, plans = fly(of, 500, water)
+    track, plans = fly(of, 330, water)
     assert hull_clearance(fence, track) > 0.15
     assert all(plan.fence is not None and plan.fence.no_way for plan in plans)
     assert np.ptp(track[-100:], axis=0).max() < 0.02

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import math
 
-import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc import Controller, CurrentProfile, Estimate, Vehicle, advance
+from ltv_mpc import Controller, Estimate, Vehicle
 from ltv_mpc.control.config import ResolvedConfig, Weights
 from ltv_mpc.control.ocp.assembly import cost
 from ltv_mpc.control.problem_data import pack_objective, unpack_objective
 from ltv_mpc.control.solvers import SOLVERS, make
 from ltv_mpc.messages import SolveStatus
 from ltv_mpc.references import Hold, Point, Reference
+from tests.ltv_mpc.control.flights import at_rest, fly
 from tests.ltv_mpc.control.problems import LIMITS, Form, answer, motion
 
 PAPER = Vehicle.load("paper")
@@ -23,14 +23,8 @@ WEIGHTS = Weights(heading_per_rad2=0.3)
 
 def held(reference: Reference, current: tuple[float, float] = (0.0, 0.0), cycles: int = 150) -> tuple[Estimate, float]:
     """Return the estimate after so many cycles at a point, and the heading that the last plan wants."""
-    controller = Controller(PAPER, reference)
-    water = CurrentProfile(depth_m=np.zeros(1), north_mps=np.array([current[0]]), east_mps=np.array([current[1]]))
-    estimate = msgspec.structs.replace(Estimate.at_rest(), current=water)
-    for _ in range(cycles):
-        plan = controller.plan(estimate)
-        assert plan.solve.status is SolveStatus.SOLVED
-        estimate = advance(PAPER, estimate, plan, duration_s=0.3)
-    return estimate, plan.reference_heading_rad
+    way, plans = fly(Controller(PAPER, reference), at_rest(*current), cycles)
+    return way[-1], plans[-1].reference_heading_rad
 
 
 def off(heading_rad: float, wanted_rad: float) -> float:

@@ -15,31 +15,21 @@ from ltv_mpc.control.horizon_selection import kept_share, proposed_slowness
 from ltv_mpc.control.margins import Change, Loop, steady_state
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.scaling import characteristic_scales, default_weights
+from ltv_mpc.vehicle.parameters import Translation
 from services.tools import vehicle_check
 from tests.ltv_mpc.reports import report
 
-SIDE = {
-    "arm_m": 0.38,
-    "min_N": -148.0,
-    "max_N": 252.0,
-    "slew_N_per_s": 275.0,
-    "lag_s": 0.067,
-    "propeller_diameter_m": 0.5,
-    "max_rps": 30.0,
-}
-LIGHT = msgspec.convert(
-    {
-        "name": "light to the side",
-        "description": "quick to turn, slow to stop drifting",
-        "dry_mass_kg": 317.0,
-        "water_density_kgpm3": 1025.0,
-        "surge": {"mass_kg": 770.0, "linear_damping_kgps": 241.0, "quadratic_damping_kgpm": 394.0},
-        "sway": {"mass_kg": 521.0, "linear_damping_kgps": 57.0, "quadratic_damping_kgpm": 607.0},
-        "yaw": {"inertia_kgm2": 181.0, "linear_damping_Nms": 225.0, "quadratic_damping_kgm2": 193.0},
-        "thruster": {"port": SIDE, "starboard": SIDE},
-    },
-    Vehicle,
+BOAT = Vehicle.load("bluerobotics-boat")
+_SURGE = BOAT.surge
+LIGHT = msgspec.structs.replace(
+    BOAT,
+    sway=Translation(
+        mass_kg=0.68 * _SURGE.mass_kg,
+        linear_damping_kgps=0.24 * _SURGE.linear_damping_kgps,
+        quadratic_damping_kgpm=1.5 * _SURGE.quadratic_damping_kgpm,
+    ),
 )
+"""Quick to turn, slow to stop drifting to the side."""
 SHARE = 0.35
 CYCLE_NS = 300_000_000
 
@@ -64,9 +54,6 @@ def test_of_the_shipped_vehicles_all_are_stable_and_keep_their_margins_in_a_curr
     config = settled(ControllerConfig(), vehicle)
     assert is_stable(vehicle, config)
     assert kept_share(vehicle, config) >= (0.05 if name == "bluerobotics-boat" else 0.4)
-
-
-BOAT = Vehicle.load("bluerobotics-boat")
 
 
 def flown(

@@ -19,6 +19,7 @@ from ltv_mpc.safety.health import (
     Ages,
     HealthState,
 )
+from tests.ltv_mpc.control.flights import fly
 
 SURFACES = msgspec.structs.replace(Vehicle.load("paper"), failsafe_vertical_N=-12.5)
 POINT = references.Point(north_m=0.0, east_m=0.0, depth_m=10.0)
@@ -32,11 +33,9 @@ AGED = ControllerConfig(ages=Ages(hold_growth_m=1000.0))
 def flown(config: ControllerConfig = AGED, reference=POINT) -> tuple[Controller, Estimate]:
     """Return a controller after six seconds, and its last estimate."""
     controller = Controller(SURFACES, reference, config)
-    estimate = Estimate.at_rest(north_m=1.0, heading_rad=2.0, depth_m=5.0)
-    for _ in range(20):
-        estimate = advance(SURFACES, estimate, controller.plan(estimate), duration_s=PERIOD_S)
-    controller.plan(estimate)
-    return controller, estimate
+    way, _ = fly(controller, Estimate.at_rest(north_m=1.0, heading_rad=2.0, depth_m=5.0), 20)
+    controller.plan(way[-1])
+    return controller, way[-1]
 
 
 def silent(controller: Controller, estimate: Estimate, until_s: float) -> list[Plan]:

@@ -10,9 +10,7 @@ import pytest
 
 from ltv_mpc.control.config import ControllerConfig, MotionLimits
 from ltv_mpc.control.controller import Controller
-from ltv_mpc.control.disturbance import STILL_WATER
 from ltv_mpc.control.horizon_limits import MIN_PENALTY, HorizonLimits
-from ltv_mpc.control.nominal_model import advance
 from ltv_mpc.control.ocp.assembly import cost
 from ltv_mpc.control.ocp.problem import Problem
 from ltv_mpc.control.problem_data import pack_objective, unpack_objective
@@ -23,6 +21,7 @@ from ltv_mpc.control.solvers.osqp import OsqpSolver
 from ltv_mpc.control.solvers.sparse import EXCESS, SparseLayout, solution_of
 from ltv_mpc.messages import Array, Estimate, SolveStatus
 from ltv_mpc.references import Line, Place, Point
+from tests.ltv_mpc.control.flights import at_rest, fly
 from tests.ltv_mpc.control.problems import PAPER, SOLVER_NAMES, Form, equidistant, motion, precise, solved
 
 N = 17
@@ -102,16 +101,10 @@ def test_a_target_far_away_does_not_outweigh_them() -> None:
     """
     slow = ControllerConfig(limits=MotionLimits.symmetric(surge_mps=0.12, yaw_rate_radps=0.06))
     controller = Controller(PAPER, Point(north_m=-20.0, east_m=80.0), slow)
-    estimate, surge, yaw_rate = msgspec.structs.replace(Estimate.at_rest(), current=STILL_WATER), [], []
-    for _ in range(100):
-        plan = controller.plan(estimate)
-        assert plan.solve.status is SolveStatus.SOLVED, plan.why
-        estimate = advance(PAPER, estimate, plan, duration_s=0.3)
-        velocity = estimate.velocity_north_mps, estimate.velocity_east_mps
-        surge.append(velocity[0] * math.cos(estimate.heading_rad) + velocity[1] * math.sin(estimate.heading_rad))
-        yaw_rate.append(estimate.yaw_rate_radps)
-    assert 0.11 < max(map(abs, surge)) < 0.14
-    assert max(map(abs, yaw_rate)) < 0.07
+    _, plans = fly(controller, at_rest(), 100)
+    surge, yaw_rate = np.abs([plan.states[0, [2, 5]] for plan in plans]).max(axis=0)
+    assert 0.11 < surge < 0.14
+    assert yaw_rate < 0.07
 
 
 @pytest.mark.parametrize(
@@ -131,15 +124,11 @@ def test_the_speed_on_a_path_is_that_of_the_faster_end(limits: MotionLimits, spe
 def test_a_target_on_a_path_is_no_faster_than_they_allow() -> None:
     line = Line(start=Place(north_m=0.0, east_m=0.0), end=Place(north_m=40.0, east_m=0.0), speed_mps=0.45)
     controller = Controller(PAPER, line, ControllerConfig(limits=MotionLimits.symmetric(surge_mps=0.2)))
-    estimate, north_m, off_m = msgspec.structs.replace(Estimate.at_rest(), current=STILL_WATER), [], []
-    for _ in range(120):
-        plan = controller.plan(estimate)
-        assert plan.reference_m is not None
-        north_m.append(plan.reference_m[0])
-        off_m.append(math.dist(plan.reference_m, (estimate.north_m, estimate.east_m)))
-        estimate = advance(PAPER, estimate, plan, duration_s=0.3)
-    assert np.diff(north_m)[-40:] == pytest.approx(0.3 * 0.9 * 0.2, rel=0.01)
-    assert max(off_m) < 0.1  # it ran ahead by 0.5 m, the length of its leash
+    _, plans = fly(controller, at_rest(), 120)
+    target_m = np.array([plan.reference_m for plan in plans])
+    assert np.diff(target_m[-41:, 0]) == pytest.approx(0.3 * 0.9 * 0.2, rel=0.01)
+    off_m = np.hypot(*(target_m - [plan.states[0, :2] for plan in plans]).T)
+    assert off_m.max() < 0.1  # it ran ahead by 0.5 m, the length of its leash
 
 
 def test_of_a_target_out_of_reach_only_the_direction_counts() -> None:

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import math
 
-import msgspec
 import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from ltv_mpc import Controller, ControllerConfig, CurrentProfile, Estimate, Vehicle, advance, references
+from ltv_mpc import Controller, ControllerConfig, Vehicle, references
 from ltv_mpc.control.config import Weights
 from ltv_mpc.control.problem_data import Constants, pack_constants, unpack_constants
 from ltv_mpc.control.scaling import characteristic_scales
 from ltv_mpc.control.terminal_check import MAX_TAIL_TIMES, TerminalCheck, check_terminal, closing_speed
+from tests.ltv_mpc.control.flights import at_rest, fly
 
 PAPER, WEAK = Vehicle.load("paper"), Vehicle.load("weak-reverse")
 STAGE_S = 0.3
@@ -75,18 +75,10 @@ def test_what_is_beyond_the_horizon_is_the_integral_of_the_squared_distance(off_
 
 def test_a_vehicle_that_is_weak_astern_comes_round_and_holds_its_place():
     """In half its top speed, stern-to, 1.2 m off: astern it can just stay there, and to turn takes it 3 m further."""
-    still = np.zeros(1)
-    current = CurrentProfile(depth_m=still, north_mps=still, east_mps=still + 0.25)
-    estimate = msgspec.structs.replace(Estimate.at_rest(east_m=1.2, heading_rad=EAST), current=current)
     controller = Controller(WEAK, references.Point(north_m=0.0, east_m=0.0), ControllerConfig(horizon_s=21.9))
-    off, heading = [], []
-    for _ in range(round(90.0 / STAGE_S)):
-        plan = controller.plan(estimate)
-        assert plan.origin == "solved"
-        estimate = advance(WEAK, estimate, plan, duration_s=STAGE_S)
-        off.append(np.hypot(estimate.north_m, estimate.east_m))
-        heading.append(estimate.heading_rad)
-    assert max(off[-30:]) < 0.01
+    way, _ = fly(controller, at_rest(0.0, 0.25, east_m=1.2, heading_rad=EAST), 300)
+    heading = [estimate.heading_rad for estimate in way]
+    assert max(np.hypot(estimate.north_m, estimate.east_m) for estimate in way[-30:]) < 0.01
     assert max(abs(math.remainder(psi - WEST, math.tau)) for psi in heading[-30:]) < 0.05
     turned = np.unwrap(heading)
     assert abs(turned[-1] - turned[0]) < 1.1 * math.pi  # the short way, once
@@ -95,15 +87,9 @@ def test_a_vehicle_that_is_weak_astern_comes_round_and_holds_its_place():
 @pytest.mark.parametrize(("behind_m", "current_mps"), [(10.0, 0.25)])
 def test_a_vehicle_that_is_weak_astern_turns_at_once_to_a_point_behind_it(behind_m: float, current_mps: float):
     """Astern it makes 0.09 m/s or nothing, and a plan that turns at its end would put the turn off."""
-    still = np.zeros(1)
-    current = CurrentProfile(depth_m=still, north_mps=still, east_mps=still + current_mps)
-    estimate = msgspec.structs.replace(Estimate.at_rest(), current=current)
     controller = Controller(WEAK, references.Point(north_m=-behind_m, east_m=0.0))
-    track = []
-    for _ in range(round((30.0 + 2.0 * behind_m) / STAGE_S)):
-        estimate = advance(WEAK, estimate, controller.plan(estimate), duration_s=STAGE_S)
-        track.append((estimate.north_m, estimate.east_m))
-    north, east = np.array(track).T
+    way, _ = fly(controller, at_rest(0.0, current_mps), round((30.0 + 2.0 * behind_m) / STAGE_S))
+    north, east = np.array([(estimate.north_m, estimate.east_m) for estimate in way]).T
     assert np.hypot(north[-1] + behind_m, east[-1]) < 1.0
     assert np.abs(east).max() < 3.0
     assert north.min() > -behind_m - 1.0

@@ -91,6 +91,7 @@ def test_inclusion_zones_of_one_group_are_their_union(tmp_path: Path) -> None:
     ("name", "text", "says"),
     [
         ("f.plan", "{}", "is no fence: 'mission'"),
+        ("f.kml", "<kml/>", "is KML: convert it, as with ogr2ogr f.geojson f.kml"),
         ("f.plan", plan([], [(True, [50.2, -5.1], -5.0)]), "circles[0] radius = -5.0: must be above 0"),
         ("f.plan", plan([], []), "no zone: give at least one"),
         ("f.waypoints", items(ITEM_0, item(5001, 3.0), item(5002, 3.0)), "item 2: the polygon before it has 1 of 3"),

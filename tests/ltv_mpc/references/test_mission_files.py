@@ -164,6 +164,7 @@ ELSEWHERE = "50.2 -5 0"
         ("m.plan", "{", "is not a JSON object"),
         ("m.plan", "{}", "mission: is not that of a plan"),
         ("m.plan", plan({"type": "ComplexItem", "complexItemType": "survey"}), "item 1: survey cannot be followed"),
+        ("m.geojson", '{"type": "LineString", "coordinates": [[-5, 50], [-5, 52]]}', "latitude_deg = 52"),
         ("m.geojson", '{"type": "FeatureCollection", "features": []}', "they hold 0"),
         ("m.geojson", '{"type": "MultiPoint", "coordinates": []}', "features[0]: must be a LineString, a Point"),
         ("m.KML", "<kml/>", "is KML: convert it, as with ogr2ogr m.geojson m.KML"),
@@ -174,3 +175,4 @@ def test_what_a_path_cannot_do_is_refused_by_item_and_name(tmp_path: Path, name:
     with pytest.raises(ConfigError) as error:
         references.load(str(tmp_path / name))
     assert says in str(error.value)
+    assert str(error.value).count("reference ") == 1

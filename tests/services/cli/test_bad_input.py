@@ -132,7 +132,7 @@ CASES = [
         "router --config boss.json5",
         '"boss.json5": Zenoh rejects the configuration: JSON error: Message { msg: "unknown',
     ),
-    ("router --mode boss", 'mode = "boss": must be "client" or "peer" or "router"'),
+    ("router --mode boss", 'option --mode: "boss": must be one of client, peer, router'),
     ("router --config none.json5", "none.json5: no such file"),
     ("router --namespace a*b", 'option --namespace: "a*b": must be names joined by /'),
     ("controller --resume-armed", "option --resume-armed: needs --state DIR"),

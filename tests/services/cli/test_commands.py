@@ -54,7 +54,7 @@ def test_help_imports_nothing_that_is_slow() -> None:
     """Numba, OSQP and scipy alone would cost 0.6 s."""
     for arguments in ([], ["sim", "--help"], ["controller", "--help"]):
         result = subprocess.run([*CLI, *arguments], capture_output=True, text=True, timeout=60, check=True)
-        slow = {"numpy", "scipy", "numba", "osqp", "qpsolvers", "zenoh", "msgspec", "mcap", "sim"}
+        slow = {"numpy", "scipy", "numba", "osqp", "qpsolvers", "zenoh", "mcap", "sim"}
         assert imported(result.stderr) & slow == set()
 
 

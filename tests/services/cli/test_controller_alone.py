@@ -35,10 +35,10 @@ def test_rate_and_horizon_are_those_of_the_options_and_the_rest_of_the_file(tmp_
     words = f"controller --settings {settings} --rate-hz 5 --metrics 9464 --input-delay-s 0.05".split()
     assert run(words) == 0
     assert run([*words, "--horizon-s", "6"]) == 0
-    first, second = (config.settings for config in started)
+    first, second = (config.resolved() for config in started)
     assert (first.period_ns, first.horizon_s, first.max_iterations) == (200_000_000, 3.0, 77)
     assert (second.period_ns, second.horizon_s, second.max_iterations) == (200_000_000, 6.0, 77)
-    assert (started[0].metrics_port, started[0].input_delay_s) == (9464, 0.05)
+    assert (started[0].metrics, started[0].input_delay_s) == (9464, 0.05)
 
 
 def test_without_a_horizon_it_is_the_vehicle_s_own_also_beside_a_settings_file(tmp_path, started) -> None:
@@ -47,7 +47,7 @@ def test_without_a_horizon_it_is_the_vehicle_s_own_also_beside_a_settings_file(t
     for name in ("paper", "low-yaw"):
         assert run(["controller", "--vehicle", name]) == 0
     assert run(["controller", "--vehicle", "low-yaw", "--settings", str(settings)]) == 0
-    paper, slow, with_file = (config.settings for config in started)
+    paper, slow, with_file = (config.resolved() for config in started)
     assert paper.horizon_s == 13.8 < slow.horizon_s
     assert (with_file.horizon_s, with_file.max_iterations) == (slow.horizon_s, 77)
     assert paper.stages == slow.stages == 34
@@ -56,7 +56,7 @@ def test_without_a_horizon_it_is_the_vehicle_s_own_also_beside_a_settings_file(t
 def test_a_checkpoint_arms_only_with_an_option_and_for_a_minute(started: list[controller.Config]) -> None:
     for words in ("", "--state s", "--state s --resume-armed", "--state s --resume-armed --resume-within-s 5"):
         assert run(["controller", *words.split()]) == 0
-    kept = [(config.state, config.resume_within_s) for config in started]
+    kept = [(config.state, config.arms_within_s) for config in started]
     folder = Path("s")
     assert kept == [(None, None), (folder, None), (folder, 60.0), (folder, 5.0)]
 
@@ -65,7 +65,7 @@ def test_a_port_that_is_taken_is_said_and_nothing_is_started(capsys, monkeypatch
     monkeypatch.setattr(controller, "warm_up", lambda *_: pytest.fail("started"))
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-        assert controller.main(controller.Config(bus=BusOptions(), settings=SETTLED, metrics_port=port)) == 1
+        assert controller.main(controller.Config(bus=BusOptions(), metrics=port)) == 1
     assert f"--metrics {port}: Address already in use" in capsys.readouterr().err
 
 

@@ -69,6 +69,7 @@ def test_both_of_a_scenario_are_saved_used_and_kept_by_a_replay(tmp_path: Path, 
     assert verdict.steps_compared > 10
     process = process_table.config_of("controller", run_config, run, BusOptions(connect=("tcp/127.0.0.1:1",)))
     assert isinstance(process, controller.Config)
+    assert process.bathymetry is not None
     assert Path(process.bathymetry).read_text() == SOUNDINGS
 
 

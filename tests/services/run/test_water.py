@@ -192,7 +192,7 @@ def test_the_process_reads_the_prior_beside_its_settings(tmp_path: Path, monkeyp
     given: list[WaterPrior | None] = []
 
     def main(config: process.Config) -> int:
-        given.append(load_prior(config.settings))
+        given.append(load_prior(config.loaded()))
         return 0
 
     monkeypatch.setattr(process, "main", main)

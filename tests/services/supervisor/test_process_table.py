@@ -40,7 +40,7 @@ def test_settings_and_files_are_those_of_the_run_s_folder(tmp_path: Path) -> Non
     known.write_text("depth_m,v_north_mps,u_east_mps,sd_mps,sd_common_mps\n0,0,0,0.1,0\n50,0.5,-0.25,0.001,0\n")
     of_run = made(tmp_path, "controller.horizon_s=7.3", f"estimator.water_prior={known}")
     controller, estimator = (process_table.config_of(name, *of_run) for name in ("controller", "estimator"))
-    assert controller.settings.horizon_s == 7.3  # type: ignore[attr-defined]
-    prior = Path(estimator.settings.water_prior)  # type: ignore[attr-defined]
+    assert controller.resolved().horizon_s == 7.3  # type: ignore[attr-defined]
+    prior = Path(estimator.loaded().water_prior)  # type: ignore[attr-defined]
     assert prior.parent == (tmp_path / "run" / "config").absolute()
     assert prior.read_text() == known.read_text()

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from ltv_mpc import Controller, ControllerConfig, Estimate, Limit, Motion, Term, Vehicle, references
-from ltv_mpc.control.nominal_model import advance
 from ltv_mpc.control.ocp import assembly, limits
 from ltv_mpc.control.ocp.extension import Extensions
 from ltv_mpc.control.problem_data import pack_objective
 from ltv_mpc.messages import Array, PlanOrigin
+from tests.ltv_mpc.control.flights import fly
 from tests.ltv_mpc.control.problems import LIMITS, SOLVER_NAMES, Form, motion
 
 PAPER = Vehicle.load("paper")
@@ -46,22 +46,17 @@ class Crosswise(Term):
         return slopes
 
 
-def fly(solver: str, terms: list[Term | Limit], cycles: int = 12) -> Array:
+def flown(solver: str, terms: list[Term | Limit], cycles: int = 12) -> Array:
     """Return the plans' commands (cycles, N+1, 2) on the way to a point."""
     controller = Controller(PAPER, POINT, ControllerConfig(solver=solver), terms=terms)
-    estimate, plans = Estimate.at_rest(depth_m=0.0), []
-    for _ in range(cycles):
-        plan = controller.plan(estimate)
-        assert plan.origin is PlanOrigin.SOLVED, plan.why
-        estimate = advance(PAPER, estimate, plan, duration_s=0.3)
-        plans.append(plan.thrust_N[:, :2])
-    return np.array(plans)
+    _, plans = fly(controller, Estimate.at_rest(depth_m=0.0), cycles)
+    return np.array([plan.thrust_N[:, :2] for plan in plans])
 
 
 @pytest.mark.parametrize("solver", SOLVER_NAMES)
 def test_a_limit_is_kept_in_every_plan_of_every_solver(solver: str) -> None:
-    assert np.abs(fly("osqp", [], 3).sum(axis=2)).max() > 100.0
-    total = np.abs(fly(solver, [TotalThrust()]).sum(axis=2))
+    assert np.abs(flown("osqp", [], 3).sum(axis=2)).max() > 100.0
+    total = np.abs(flown(solver, [TotalThrust()]).sum(axis=2))
     assert total.max() <= 20.0 + 0.01
     assert total.max() > 19.9  # and used
 
