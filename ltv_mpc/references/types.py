@@ -148,16 +148,7 @@ class Hold(Station, frozen=True, kw_only=True, tag="hold"):
         return anchor.north_m, anchor.east_m
 
 
-Reference: TypeAlias = (
-    Point
-    | Hold
-    | Line
-    | Waypoints
-    | Lawnmower
-    | Circle
-    | Spiral
-    | Timed
-)  # fmt: skip
+Reference: TypeAlias = Point | Hold | Line | Waypoints | Lawnmower | Circle | Spiral | Timed
 
 
 def load(name: str) -> Reference:
