@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import Annotated, Any
 
 import typer
 
 from services.cli.options import BusOptions, Force, Json, argument, flag, group, invalid, needs, option, with_bus
 
-ActionName: TypeAlias = Literal[
-    "arm", "disarm", "stop", "manual", "release", "follow", "hold", "fence", "clear", "source", "heartbeat"
-]
-"""Actions of commands to the controller, and the heartbeat of an operator."""
-
 HEARTBEAT = "heartbeat"
+
+ACTIONS = "arm", "disarm", "stop", "manual", "release", "follow", "hold", "fence", "clear", "source", HEARTBEAT
+"""Actions of commands to the controller, and the heartbeat of an operator."""
 
 NO_FENCE = "none"
 
@@ -25,10 +23,14 @@ NEEDED = {"follow": "a reference, NAME or FILE,", "fence": f"a fence, FILE or `{
 
 @with_bus("operator")
 def ctl(
-    action: Annotated[ActionName, argument("ACTION", "What it does; docs/operate.md.")],
+    action: Annotated[str, argument("ACTION", f"One of {', '.join(ACTIONS)}.", autocompletion=lambda: ACTIONS)],
     file: Annotated[
         str | None,
-        argument("NAME|FILE", "follow: a reference; fence: a FILE, or `none`; source: its NAME, or nothing."),
+        argument(
+            "NAME|FILE",
+            "follow: a reference, NAME or FILE. fence: a FILE (docs/fences.md), or `none`. source: its NAME, `default` "
+            "for the plain key; without one, the order of the settings again.",
+        ),
     ] = None,
     force: Annotated[bool, flag("--force", "Arm although pre-arm checks fail; prints what it skips.")] = False,
     *,
@@ -44,7 +46,11 @@ def ctl(
     from ltv_mpc.geofence.fence import Fence
     from ltv_mpc.messages import Action
     from ltv_mpc.node import DEFAULT_SOURCE
+    from ltv_mpc.settings_schema import closest_name
 
+    if action not in ACTIONS:
+        near = f'; did you mean "{meant}"?' if (meant := closest_name(action, ACTIONS)) else ""
+        raise invalid("argument ACTION", f"must be one of {', '.join(ACTIONS)}{near}", value=action)
     if force and action != "arm":
         raise invalid("option --force", "only arm takes it", value=action)
     if action in NEEDED and file is None:

@@ -91,9 +91,8 @@ def _outcome(request: ButtonRequest, session: Session, t_ns: int | None, speed: 
         case Button.PAUSE | Button.RESUME | Button.SPEED:
             asked = request.speed if request.button is Button.SPEED else speed
             what = f"{asked:g} x real time" if request.button is Button.SPEED else f"{request.button.value} the clock"
-            return _sent(
-                session, ClockCommand(paused=request.button is Button.PAUSE, speed=asked), f"requested: {what}"
-            )
+            command = ClockCommand(paused=request.button is Button.PAUSE, speed=asked)
+            return _sent(session, command, f"requested: {what}")
         case Button.KILL:
             return _sent(session, Kill(node=request.node), f"requested: kill {request.node}")
         case Button.KICK if t_ns is not None:

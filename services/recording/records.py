@@ -201,8 +201,7 @@ def _decoded(opcode: int, content: bytes) -> Iterable[Record]:
 
 def _decompressed(chunk: Chunk) -> bytes:
     """Return the records of a chunk. Raises ``ValueError`` if it claims too much, or holds others than a chunk can."""
-    data: bytes = chunk.data
-    size, stored = chunk.uncompressed_size, len(data)
+    data, size, stored = chunk.data, chunk.uncompressed_size, len(chunk.data)
     if size > MAX_CHUNK_BYTES:
         raise ValueError(f"{size} bytes, at most {MAX_CHUNK_BYTES}")
     if size > FREE_BYTES + MAX_RATIO * stored:

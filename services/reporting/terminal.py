@@ -99,11 +99,10 @@ class RunScreen:
         return Group(*(Text(one_line(text), no_wrap=True, overflow="ellipsis") for text in lines), _processes(view))
 
     def _is_due(self) -> bool:
-        now = time.monotonic()
-        due = now >= self._next
-        if due:
-            self._next = now + (LINE_S if self._live is None else REDRAW_S)
-        return due
+        if (now := time.monotonic()) < self._next:
+            return False
+        self._next = now + (LINE_S if self._live is None else REDRAW_S)
+        return True
 
 
 @contextmanager

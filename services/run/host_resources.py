@@ -29,10 +29,8 @@ def check_disk_space(folder: Path, duration_s: float) -> None:
     needed = round(duration_s * BYTES_PER_VEHICLE_S)
     free = shutil.disk_usage(there).free
     if free < needed:
-        problem = (
-            f"{free / 1e6:.0f} MB free, {needed / 1e6:.0f} MB may be needed: free disk space, or choose another --out"
-        )
-        raise OSError(errno.ENOSPC, problem, str(folder))
+        found = f"{free / 1e6:.0f} MB free, {needed / 1e6:.0f} MB may be needed"
+        raise OSError(errno.ENOSPC, f"{found}: free disk space, or choose another --out", str(folder))
 
 
 def check_open_files() -> None:

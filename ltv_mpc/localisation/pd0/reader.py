@@ -182,5 +182,5 @@ def _diagnosis(data: bytes, total: Sums, start: int, end: int) -> str:
     if mark + length + 2 > len(data):
         return f"the ensemble at byte {mark} has {length + 2} bytes, the file ends after {len(data) - mark} of them"
     stated = int.from_bytes(data[mark + length : mark + length + 2], "little")
-    found = int(total[mark + length] - total[mark])
+    found = (int(total[mark + length]) - int(total[mark])) % 2**16  # the sums wrap round
     return f"the ensemble at byte {mark} has checksum {stated:04X}, its bytes add up to {found:04X}"

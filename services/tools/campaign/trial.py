@@ -115,7 +115,8 @@ def run_config(base: Base, settings: Mapping[str, Value], factors: Mapping[str, 
 def _with_settings(base: Base, settings: Mapping[str, Value], seed: int) -> RunConfig:
     own = [
         f"{key}={str(value).lower() if isinstance(value, bool) else value}"
-        for key, value in _of_scenario(settings).items()
+        for key, value in settings.items()
+        if not key.startswith((f"{VEHICLE}.", f"{REFERENCE}."))
     ]
     here = resolve(str(_folder(base) / "scenario.toml"), [Override("campaign", [*own, f"run.seed={seed}"])])
     if of_vehicle := _of(VEHICLE, settings):
@@ -130,11 +131,6 @@ def _with_settings(base: Base, settings: Mapping[str, Value], seed: int) -> RunC
 def _of(owner: str, settings: Mapping[str, Value]) -> dict[str, Value]:
     """Select the settings of ``vehicle`` or ``reference``, by the key within its file."""
     return {key.removeprefix(f"{owner}."): value for key, value in settings.items() if key.startswith(f"{owner}.")}
-
-
-def _of_scenario(settings: Mapping[str, Value]) -> dict[str, Value]:
-    """Select the settings of the scenario."""
-    return {key: value for key, value in settings.items() if not key.startswith((f"{VEHICLE}.", f"{REFERENCE}."))}
 
 
 def _with_values(struct: Any, kind: Any, values: Mapping[str, Value], owner: str) -> Any:

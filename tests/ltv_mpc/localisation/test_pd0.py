@@ -269,6 +269,7 @@ def test_other_bytes_before_between_and_behind_are_passed_over_and_counted() -> 
         (b"", "byte 0", "empty"),
         (b"PK\x03\x04 no such thing", "byte 0", "no header 7F 7F"),
         (b"abc" + FRAMES[0][:-1], "byte 0", "the ensemble at byte 3"),
+        (257 * b"\xff" + FRAMES[0][:-1] + b"\x00", "byte 0", "the ensemble at byte 257 has checksum 00"),
         (b"\x7f" * 300, "byte 0", "the file ends after 300 of them"),
     ],
 )
