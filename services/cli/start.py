@@ -369,21 +369,17 @@ def doctor(as_json: Json = False) -> int:
 
     Exit code 1 if there is a problem; a warning is not a problem.
     """
-    import json  # not msgspec, which may be the package that is missing
-    from dataclasses import asdict
-
     from services.tools.doctor import Level, examine
 
     found = examine()
-    if as_json:
-        counts = {level.value: sum(finding.level is level for finding in found) for level in Level}
-        typer.echo(json.dumps({"findings": [asdict(finding) for finding in found], "counts": counts}))
-    else:
-        for finding in found:
-            typer.echo(fold(f"{finding.level:<8} {finding.check:<15} {finding.found}", indent=INDENT))
-            if finding.remedy:
-                typer.echo(fold(f"{'':<{INDENT}}-> {finding.remedy}", indent=INDENT + 3))
-        typer.echo("\n`ltv-mpc completion --install` adds completion of commands and options.")
+    lines = []
+    for finding in found:
+        lines.append(fold(f"{finding.level:<8} {finding.check:<15} {finding.found}", indent=INDENT))
+        if finding.remedy:
+            lines.append(fold(f"{'':<{INDENT}}-> {finding.remedy}", indent=INDENT + 3))
+    lines += ["", "`ltv-mpc completion --install` adds completion of commands and options."]
+    counts = {level.value: sum(finding.level is level for finding in found) for level in Level}
+    show({"findings": found, "counts": counts}, lambda: "\n".join(lines), as_json=as_json)
     return int(any(finding.level is Level.PROBLEM for finding in found))
 
 

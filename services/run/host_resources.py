@@ -39,9 +39,8 @@ def check_open_files() -> None:
     if soft == resource.RLIM_INFINITY or soft >= MIN_OPEN_FILES:
         return
     if hard != resource.RLIM_INFINITY and hard < MIN_OPEN_FILES:
-        problem = (
-            f"the limit on open files is {hard} (`ulimit -n`), a run needs {MIN_OPEN_FILES}: "
-            f"raise it with `ulimit -n {MIN_OPEN_FILES}` or in /etc/security/limits.conf"
+        found = f"the limit on open files is {hard} (`ulimit -n`), a run needs {MIN_OPEN_FILES}"
+        raise OSError(
+            errno.EMFILE, f"{found}: raise it with `ulimit -n {MIN_OPEN_FILES}` or in /etc/security/limits.conf"
         )
-        raise OSError(errno.EMFILE, problem)
     resource.setrlimit(resource.RLIMIT_NOFILE, (MIN_OPEN_FILES, hard))

@@ -159,3 +159,10 @@ def test_the_recorder_continues_its_own_folder_and_rejects_one_that_is_not_empty
     assert Path("r/run.mcap").read_bytes() == before
     assert cli("recorder descent --out new") == 0
     assert taken == [Path("r"), Path("new")]
+
+
+def test_a_package_that_is_missing_is_named_in_one_line() -> None:
+    program = "import sys; sys.modules['msgspec'] = None; from services.cli.app import main; main()"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr.count("\n")) == (1, 1)
+    assert "msgspec is not installed" in done.stderr
