@@ -107,10 +107,10 @@ def campaign(
     place = out or folder.make_default(file.stem)
     with open_campaign(place, planned, force=force) as store, stop_on_signals() as request:
         rows = [row for _, row in store.results()]
-        with progress_bar(design.title) as told:
+        with progress_bar(design.title, line_s=10.0) as show_progress:
             for row in run(planned, store, workers=workers, cluster=cluster, stop=request):
                 rows.append(row)
-                told(len(rows) / planned.runs)
+                show_progress(len(rows) / planned.runs)
         table.write(place, design, rows, {"made_by": msgspec.json.encode(planned.made_by).decode()})
     with plots_or_a_line(f"no {page.NAME}"):
         page.write(place)

@@ -114,15 +114,26 @@ def run_progress_bar(start_ns: int, end_ns: int, console: Console | None = None)
 
 
 @contextmanager
-def progress_bar(what: str, console: Console | None = None) -> Iterator[Callable[..., None]]:
-    """Show a bar with the time left on stderr, if it is a terminal.
+def progress_bar(
+    what: str, console: Console | None = None, *, line_s: float = math.inf
+) -> Iterator[Callable[..., None]]:
+    """Show a bar with the time left on stderr if it is a terminal, otherwise a line every ``line_s``.
 
     Call the result with the share done, 0 .. 1, and a new text if there is one.
     """
     console = console or stderr_console()
-    with Progress(*_columns(), console=console, transient=True, disable=is_plain(console)) as bars:
+    plain, due = is_plain(console), time.monotonic() + line_s
+    with Progress(*_columns(), console=console, transient=True, disable=plain) as bars:
         task = bars.add_task(escape(one_line(what)), total=1.0)
-        yield lambda share, text=what: bars.update(task, completed=share, description=escape(one_line(text)))
+
+        def show(share: float, text: str = what) -> None:
+            nonlocal due
+            bars.update(task, completed=share, description=escape(one_line(text)))
+            if plain and time.monotonic() >= due:
+                due = time.monotonic() + line_s
+                console.out(f"{one_line(text)}: {share:.0%}", highlight=False)
+
+        yield show
 
 
 @contextmanager

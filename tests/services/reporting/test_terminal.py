@@ -13,7 +13,7 @@ from rich.console import Console
 
 from ltv_mpc.messages import Authority, ControllerStatus, FilterStatus, Health, NodeStatus, PlanOrigin, SensorStatus
 from services.reporting.plots.collector import Collector
-from services.reporting.terminal import RunScreen, bar, is_plain, observe
+from services.reporting.terminal import RunScreen, bar, is_plain, observe, progress_bar
 from services.supervisor.screen import ORDER, LiveView
 from tests.services.bus.messages import EXAMPLES
 from tests.services.reporting import synthetic_run
@@ -168,3 +168,13 @@ def test_an_estimate_from_before_the_start_does_not_say_where_the_reference_is()
     errors = Collector()
     assert shown(errors, S // 2, north_m=2.0, age_ns=S // 2 + 1) is None
     assert shown(errors, S, north_m=0.0) == pytest.approx(0.1, abs=1e-3)
+
+
+def test_without_a_terminal_progress_is_a_line_now_and_then(monkeypatch: pytest.MonkeyPatch) -> None:
+    now_s, out = [0.0], io.StringIO()
+    monkeypatch.setattr("time.monotonic", lambda: now_s[0])
+    with progress_bar("a campaign", Console(file=out, width=80), line_s=10.0) as show:
+        for share in (0.1, 0.2, 0.5, 0.6):
+            now_s[0] += 6.0
+            show(share)
+    assert out.getvalue().splitlines() == ["a campaign: 20%", "a campaign: 60%"]
