@@ -31,6 +31,8 @@ LINE_S = 5.0
 PROGRESS = 12  # width of the bar of the time, in characters
 BAR = 31  # width in characters, from full astern to full ahead
 THRUSTERS = ("port", "starboard", "vertical")
+AT_LIMIT = rf".*\|(?:={{{BAR // 2}}}\+ *| *\+={{{BAR // 2}}})\|$"
+"""Line of a thruster whose bar is full."""
 
 
 def is_plain(console: Console) -> bool:
@@ -96,7 +98,11 @@ class RunScreen:
             *(*_motion(view, self._collector), *_localisation(view), ""),
             *(*_thrusts(view, self._limits), "", *_ages(view), ""),
         ]
-        return Group(*(Text(one_line(text), no_wrap=True, overflow="ellipsis") for text in lines), _processes(view))
+        texts = [Text(one_line(text), no_wrap=True, overflow="ellipsis") for text in lines]
+        texts[0].stylize("bold")
+        for text in texts:
+            text.highlight_regex(AT_LIMIT, "yellow")
+        return Group(*texts, _processes(view))
 
     def _is_due(self) -> bool:
         if (now := time.monotonic()) < self._next:

@@ -96,6 +96,16 @@ def test_the_screen_says_what_the_messages_hold() -> None:
     assert "(the estimates are too old)   arrived" in "\n".join(drawn(arrived))
 
 
+def test_the_title_is_bold_and_a_thruster_at_its_limit_is_yellow() -> None:
+    out = io.StringIO()
+    console = Console(file=out, width=80, height=24, force_terminal=True, color_system="standard")
+    console.print(RunScreen("a run", LIMITS, console).render(FULL))
+    lines = out.getvalue().splitlines()
+    assert any("\x1b[1m" in line and "a run" in line for line in lines)
+    yellow = {name: any(f"\x1b[33m{name}" in line for line in lines) for name in ("port", "starboard", "vertical")}
+    assert yellow == {"port": True, "starboard": False, "vertical": True}
+
+
 def test_beside_a_boat_the_screen_has_what_a_boat_has() -> None:
     afloat = replace(synthetic_run.estimate(NOW_NS), depth_m=None, current=None)
     boat = dataclasses.replace(FULL, end_ns=None, truth=None, localisation=None, estimate=afloat, phase="")
