@@ -212,7 +212,7 @@ const Plots = (() => {
     if (view.ranges) [x.range, y.range] = view.ranges;
     const empty = traces.length === 0;
     const made = {
-      margin: { l: letters(58), r: 8, t: 6, b: 34 }, showlegend: false, hovermode: "closest", uirevision: `${Boolean(view.follow)}`,
+      margin: { l: letters(58), r: 8, t: 6, b: letters(42) }, showlegend: false, hovermode: "closest", uirevision: `${Boolean(view.follow)}`,
       font: { family: "system-ui, -apple-system, 'Segoe UI', Roboto, sans-serif", size: letters(11), color: theme("--ink") },
       paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: theme("--paper"),
       xaxis: plot.x.time ? { ...x, range: timeRange } : x, yaxis: plot.equal ? { ...y, scaleanchor: "x", scaleratio: 1 } : y,

@@ -47,8 +47,10 @@ def visit(here: RunConfig) -> Visit:
 
     def keep(message: Message) -> None:
         newest[type(message)] = message
+        if isinstance(message, Estimate):
+            learned.update(message)
 
-    lockstep_run.simulate(here, None, None, lambda: False, learned, nodes=nodes, keep=keep)
+    lockstep_run.simulate(here, nodes=nodes, keep=keep)
     saved = learned.prior()
     (estimator,) = (node for node in nodes if isinstance(node, Estimator))
     assert saved is not None
