@@ -259,7 +259,9 @@ def test_a_slow_cycle_publishes_after_its_delay_and_the_next_one_waits_for_it(bu
     for timing, following in pairwise(timings):
         assert timing.compute_ns >= delay_ns
         assert following.t_ns >= timing.t_ns + timing.compute_ns - 1_000_000
-    ratios = [timing.compute_wall_ns / timing.compute_ns for timing in timings[2:]]  # the clock has come to its speed
+    ratios = [
+        timing.compute_wall_ns / timing.compute_ns for timing in timings[2:-1]
+    ]  # from the clock's speed to the end
     assert 0.8 / 4 < min(ratios) < 1.0  # on a busy machine the clock is slower, never faster
 
 
