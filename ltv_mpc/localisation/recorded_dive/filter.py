@@ -1,7 +1,7 @@
 """Kalman filter of a recorded dive: ADCP beams and, for the first ensembles, bottom track; no IMU.
 
 Attitude and depth come from the instrument and are taken as exact. So the problem is linear (``model.py``).
-In water that is not uniform (``bottom_track.py``) the position error after the last fix has the additional variance, in
+In water that is not uniform (``uniformity.py``) the position error after the last fix has the additional variance, in
 each axis,
     q_h^2 integral of (t_end - t)^2 |v| dt
 because each change of the current with the distance run is taken for one of the vehicle's velocity from then on.
@@ -19,8 +19,10 @@ from scipy.stats import chi2
 from ltv_mpc.currents import WaterPrior
 from ltv_mpc.localisation.pd0.beams import BeamEnsemble
 from ltv_mpc.localisation.recorded_dive.model import POSITION, VELOCITY, Model, beams, correct, over_ground
+from ltv_mpc.localisation.recorded_dive.noise import BeamNoise
 from ltv_mpc.localisation.recorded_dive.parameters import DiveParameters
-from ltv_mpc.localisation.recorded_dive.recording import BeamNoise, Mask, usable, velocity_changes
+from ltv_mpc.localisation.recorded_dive.screening import Mask, usable
+from ltv_mpc.localisation.recorded_dive.velocity_change import velocity_changes
 from ltv_mpc.messages import Array
 
 MAX_GRID_POINTS = 200

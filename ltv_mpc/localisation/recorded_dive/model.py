@@ -6,7 +6,7 @@ State   x = [p, v, w, beta, c]
         beta   bias of beam i at range j (m/s), (4 C); a cell has that of the nearest range
         c      current north at the grid points, then east (m/s), (2 K); linear between grid points
 Propagation over dt:  p += v dt,  v a random walk of intensity q:  Q = q^2 [dt^3/3, dt^2/2; dt^2/2, dt]
-        q of each step as in ``recording.py``
+        q of each step as in ``velocity_change.py``
         beta := f beta + noise,  f = exp(-dt / tau), noise of covariance (1 - f^2) B: stationary covariance B
         c += noise of covariance q_c^2 dt rho,  rho = exp(-|z1 - z2| / L): neighbours change together
 Prior   B(r1, r2) = s_b^2 + (s_r^2 + s_n^2 exp(-(r1 + r2) / r_n)) exp(-|r1 - r2| / L_r),  beams independent
@@ -36,7 +36,7 @@ from scipy.linalg import cho_solve, cholesky, solve_triangular
 from ltv_mpc.localisation.pd0.beams import BeamEnsemble
 from ltv_mpc.localisation.pd0.records import BEAMS
 from ltv_mpc.localisation.recorded_dive.parameters import DiveParameters
-from ltv_mpc.localisation.recorded_dive.recording import Mask
+from ltv_mpc.localisation.recorded_dive.screening import Mask
 from ltv_mpc.messages import Array
 
 POSITION = slice(0, 2)

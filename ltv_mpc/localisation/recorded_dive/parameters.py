@@ -2,7 +2,7 @@
 
 Each number has its source beside it: the kind of vehicle, the design's figures for sea and instrument, data sheets, and
 statistics of recordings that need no position (error velocities and vertical velocities by cell). None is fitted to the
-position error of a dive. Beam noise is not a parameter: ``recording.py`` estimates it from each recording.
+position error of a dive. Beam noise is not a parameter: ``noise.py`` estimates it from each recording.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ class DiveParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     """Standard deviations (1 sigma) and lengths, SI units."""
 
     # Velocity over ground is a random walk: 6 cm/s in the 4 s of an ensemble is 0.3 m/s turned by 3 deg/s, or a swell;
-    # a shear of 0.02 per second at a descent of 0.14 m/s is a fifth of it. The least: ``recording.py`` estimates
+    # a shear of 0.02 per second at a descent of 0.14 m/s is a fifth of it. The least: ``velocity_change.py`` estimates
     # what a vehicle does that is faster or turns more.
     velocity_change_mps_per_rts: Positive = 0.03
     # Before the first fix: no glider or survey vehicle is faster.
@@ -34,7 +34,7 @@ class DiveParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     # Internal waves and eddies of 3 cm/s that change in 15 minutes: sqrt(2 x 0.03^2 / 900).
     water_change_mps_per_rts: Sd = 0.0015
     # Change with the distance run, which the filter does not model: its covariance is widened by it. 0 in water that is
-    # horizontally uniform; ``bottom_track.py`` estimates it.
+    # horizontally uniform; ``uniformity.py`` estimates it.
     water_change_mps_per_rtm: Sd = 0.0
 
     # Bias of a beam: a constant (data sheets: some mm/s and 0.3 %; the design's 5 mm/s) ...

@@ -22,21 +22,19 @@ from ltv_mpc.localisation.pd0 import reader
 from ltv_mpc.localisation.pd0.beams import BeamEnsemble, to_beams
 from ltv_mpc.localisation.pd0.reader import Loss, Recording
 from ltv_mpc.localisation.pd0.records import Ensemble, Settings
-from ltv_mpc.localisation.recorded_dive.bottom_track import (
-    BottomTrackPath,
+from ltv_mpc.localisation.recorded_dive.filter import Track, run
+from ltv_mpc.localisation.recorded_dive.noise import BeamNoise
+from ltv_mpc.localisation.recorded_dive.parameters import DiveParameters
+from ltv_mpc.localisation.recorded_dive.study import (
     StartResult,
-    Uniformity,
     constant_velocity,
-    dead_reckon,
     evaluate_track,
     run_start,
     starts,
-    uniformity,
     window_end,
 )
-from ltv_mpc.localisation.recorded_dive.filter import Track, run
-from ltv_mpc.localisation.recorded_dive.parameters import DiveParameters
-from ltv_mpc.localisation.recorded_dive.recording import BeamNoise
+from ltv_mpc.localisation.recorded_dive.truth import BottomTrackPath, dead_reckon
+from ltv_mpc.localisation.recorded_dive.uniformity import Uniformity, uniformity
 from ltv_mpc.messages import Array
 
 MAX_STARTS = 60

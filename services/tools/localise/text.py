@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-from ltv_mpc.localisation.recorded_dive.bottom_track import (
-    MAX_START_DEPTH_M,
-    MIN_START_DEPTH_M,
-    WINDOW_S,
-    StartResult,
-    Uniformity,
-)
+from ltv_mpc.localisation.recorded_dive.study import MAX_START_DEPTH_M, MIN_START_DEPTH_M, WINDOW_S, StartResult
+from ltv_mpc.localisation.recorded_dive.uniformity import Uniformity
 from services.tools.localise.dive_localisation import LocalisationResult, StudyRow
 
 _STARTS = f"between {MIN_START_DEPTH_M:g} and {MAX_START_DEPTH_M:g} m"

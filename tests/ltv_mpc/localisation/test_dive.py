@@ -13,13 +13,6 @@ from ltv_mpc.currents import WaterPrior
 from ltv_mpc.localisation.pd0 import reader
 from ltv_mpc.localisation.pd0.beams import BeamEnsemble, to_beams
 from ltv_mpc.localisation.pd0.records import Settings
-from ltv_mpc.localisation.recorded_dive.bottom_track import (
-    MAX_GAP_S,
-    dead_reckon,
-    evaluate_track,
-    starts,
-    window_end,
-)
 from ltv_mpc.localisation.recorded_dive.filter import Track, run
 from ltv_mpc.localisation.recorded_dive.model import (
     BIAS,
@@ -32,8 +25,11 @@ from ltv_mpc.localisation.recorded_dive.model import (
     correct,
     over_ground,
 )
+from ltv_mpc.localisation.recorded_dive.noise import BeamNoise, beam_sd, data_sheet_sd
 from ltv_mpc.localisation.recorded_dive.parameters import DiveParameters
-from ltv_mpc.localisation.recorded_dive.recording import BeamNoise, beam_sd, data_sheet_sd, reach_m, usable
+from ltv_mpc.localisation.recorded_dive.screening import reach_m, usable
+from ltv_mpc.localisation.recorded_dive.study import evaluate_track, starts, window_end
+from ltv_mpc.localisation.recorded_dive.truth import MAX_GAP_S, dead_reckon
 from tests.recorded.glider import Dive, World, dive
 
 PARAMETERS = DiveParameters()
