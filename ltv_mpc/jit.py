@@ -123,6 +123,8 @@ class _Cache(caching.FunctionCache):
 
     def __getattr__(self, name: str) -> Any:
         """Find the place as numba does it, when the first attribute is needed that numba sets there."""
+        if "_impl" in vars(self):  # numba has set all there is
+            raise AttributeError(name)
         super().__init__(self._function)  # type: ignore[no-untyped-call]
         return getattr(self, name)
 
