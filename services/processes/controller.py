@@ -64,8 +64,8 @@ def main(config: Config) -> int:
     vehicle, reference = Vehicle.load(config.vehicle), references.load(config.reference)
     fence_file, soundings, arms_within_s = config.fence or "", config.bathymetry or "", config.arms_within_s
     fence = fence_for(vehicle, reference, fence_file)
-    settings, bus = config.resolved(), config.bus
-    bottom = bathymetry_for(reference, settings.limits, soundings)
+    control, bus = config.resolved(), config.bus
+    bottom = bathymetry_for(reference, control.limits, soundings)
     metrics, console = prometheus.Metrics(), Console(ControllerNode.name, as_json=config.log_json)
     SERVICE_MANAGER.connect(os.environ)
     with contextlib.ExitStack() as stack:
@@ -80,14 +80,14 @@ def main(config: Config) -> int:
             checkpoint = Checkpoint(config.state, to_toml(reference), resume_within_s=arms_within_s, console=console)
             stack.callback(checkpoint.close)
         SERVICE_MANAGER.status("compiling")
-        warm_up(vehicle, reference, settings)
+        warm_up(vehicle, reference, control)
         SERVICE_MANAGER.status("waiting for the router")
         node_stages = StageTimer()
-        files = controller_files(config.vehicle, config.reference, fence_file, soundings, settings)
+        files = controller_files(config.vehicle, config.reference, fence_file, soundings, control)
         published = node_settings(ControllerNode.name, files)
         recorder = QpRecorder()
         make_solver = make if config.failed_qps is None else recorder
-        node = ControllerNode(vehicle, reference, settings, fence=fence, make_solver=make_solver, stopwatch=node_stages)
+        node = ControllerNode(vehicle, reference, control, fence=fence, make_solver=make_solver, stopwatch=node_stages)
         if bottom is not None:
             node.controller.set_bathymetry(bottom)
         stack.callback(console.close)
@@ -98,7 +98,7 @@ def main(config: Config) -> int:
             SERVICE_MANAGER.status(line)
 
         for text in (
-            *announcement(bus, settings),
+            *announcement(bus, control),
             *reference.notes(vehicle),
             *([TOO_LARGE] if published is None else []),
         ):

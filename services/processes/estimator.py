@@ -32,17 +32,17 @@ def main(config: Config) -> int:
     if vehicle != vehicle.at_origin():
         problem = "must be 0 or left out: this estimator publishes the vehicle's origin; the controller's likewise"
         raise ConfigError(f"vehicle {config.vehicle}: [reference_point]", "", problem)
-    sensor_config, settings = SensorConfig.load(config.sensors), config.loaded()
-    prior = load_prior(settings)
+    sensor_config, filter_config = SensorConfig.load(config.sensors), config.loaded()
+    prior = load_prior(filter_config)
     SERVICE_MANAGER.connect(os.environ)
     SERVICE_MANAGER.status("compiling")
-    warm_up(sensor_config, settings)
+    warm_up(sensor_config, filter_config)
     SERVICE_MANAGER.status("waiting for the router")
-    published = node_settings(Estimator.name, estimator_files(config.sensors, settings))
+    published = node_settings(Estimator.name, estimator_files(config.sensors, filter_config))
     console = Console(Estimator.name, as_json=config.log_json)
     if published is None:
         console.say(TOO_LARGE)
-    node = Estimator(sensor_config, settings, prior, progress=_beat)
+    node = Estimator(sensor_config, filter_config, prior, progress=_beat)
     return Runner(node, settings=published).main(console, config.bus)
 
 
@@ -58,9 +58,11 @@ def warm_up(sensor_config: SensorConfig, config: EstimatorConfig) -> None:
     estimator = Estimator(sensor_config, config)
     second, imu_ns = 1_000_000_000, sensor_config.imu.period_ns
     samples = [IMU.at_rest(t_ns, sensor_config.imu) for t_ns in range(imu_ns, second + imu_ns + 1, imu_ns)]
-    start = [sensor.at_rest(0, settings) for sensor, settings in fitted(sensor_config)]
-    end = [sensor.at_rest(second, settings) for sensor, settings in fitted(sensor_config)]
-    late = [s.at_rest(second // 2, x) for s, x in fitted(sensor_config) if s.availability is not Availability.SURFACE]
+    start = [sensor.at_rest(0, own) for sensor, own in fitted(sensor_config)]
+    end = [sensor.at_rest(second, own) for sensor, own in fitted(sensor_config)]
+    late = [
+        s.at_rest(second // 2, own) for s, own in fitted(sensor_config) if s.availability is not Availability.SURFACE
+    ]
     for message in (*start, *samples[:-1], *end, samples[-1], *late):
         published = ImuSamples(samples=(message,)) if isinstance(message, ImuSample) else message
         estimator.step(message.t_ns, [ReceivedMessage(published, 1, 0, message.t_ns)])
