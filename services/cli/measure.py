@@ -52,7 +52,7 @@ def profile(
 
     with progress_bar("loading and compiling") as show_progress:  # before the imports, which take seconds
         from services.run import folder
-        from services.tools.profile import problems
+        from services.tools.profile import problems, table
         from services.tools.profile import run as latency
 
         stages = latency.parse_horizons(horizons)
@@ -62,7 +62,7 @@ def profile(
         written = None if out is None else folder.open_folder(out, force=force)
         text = f"cycles at {', '.join(str(episodes[0].config.stages) for episodes in by_horizon)} stages"
         measured = latency.run(by_horizon, named, seed=seed, progress=lambda share: show_progress(share, text))
-    plain = show(measured, lambda: latency.text(measured), as_json=as_json)
+    plain = show(measured, lambda: table.text(measured), as_json=as_json)
     if written is not None:
         (written / "profile.json").write_text(plain + "\n", encoding="utf-8")
         typer.echo(str(written), err=as_json)

@@ -18,7 +18,8 @@ from ltv_mpc.references.schedule import EAST, NORTH, WAY, Schedule
 from ltv_mpc.vehicle.parameters import Vehicle
 from ltv_mpc.vehicle.performance import Performance, performance, sideways_drag_N, stopping
 from services.reporting.plots.fence import boundary
-from services.tools.path_check import BottomCheck, ZoneCheck, check_bottom, check_fence, distance
+from services.tools.bottom_check import BottomCheck, check_bottom
+from services.tools.fence_check import ZoneCheck, check_fence, distance
 
 LABEL_WIDTH = 38
 """Least width of the first column of the table."""

@@ -155,8 +155,9 @@ print(sum(
 
 
 def test_a_cache_has_no_other_attributes_than_numbas() -> None:
-    assert jit.copy_to._cache.cache_path  # type: ignore[attr-defined]
-    assert not hasattr(jit.copy_to._cache, "made_up")  # type: ignore[attr-defined]
+    cache = jit.copy_to._cache  # type: ignore[attr-defined]
+    assert cache.cache_path
+    assert not hasattr(cache, "made_up")
 
 
 def test_every_kernel_can_be_cached_and_a_second_process_compiles_nothing():

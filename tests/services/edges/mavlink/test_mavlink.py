@@ -23,7 +23,7 @@ from services.edges.mavlink.actuation import Overrides, State, channels, pwm_us
 from services.edges.mavlink.autopilot import Kind
 from services.edges.mavlink.codec import frames_of
 from services.edges.mavlink.edge import MavlinkEdge, Settings
-from services.edges.mavlink.mission import fence_of
+from services.edges.mavlink.lists import fence_of
 from services.edges.mavlink.navigation import Accuracy, Navigation
 from tests.foreign_plant.flight import farthest_m
 from tests.foreign_plant.mavlink_flight import EXAMPLE, MavlinkFlight, vehicle

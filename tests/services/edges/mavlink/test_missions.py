@@ -17,7 +17,8 @@ from ltv_mpc import config, references
 from ltv_mpc.messages import Acknowledgement, Action, Authority, Command
 from ltv_mpc.references.mission_items import DRIVEN
 from services.edges.edge import Outgoing, Received
-from services.edges.mavlink.mission import Mission, MissionFollower, Progress, mission_of
+from services.edges.mavlink.lists import Mission, mission_of
+from services.edges.mavlink.mission import MissionFollower, Progress
 from tests.foreign_plant.mavlink_flight import BAD, MavlinkFlight
 from tests.services.edges.mavlink.items import ORIGIN, codec, item
 from tests.services.edges.plans import plan

@@ -1,55 +1,21 @@
-"""Check of a path against a fence and soundings: what the controller makes of it, and where there is no way."""
+"""Check of a reference against a fence: what the controller makes of it, and where there is no way."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
-import numpy.typing as npt
 
-from ltv_mpc.bathymetry import Bathymetry
 from ltv_mpc.geofence.allowed_path import allowed_path
 from ltv_mpc.geofence.fence import Fence
 from ltv_mpc.geofence.route import Router
 from ltv_mpc.geofence.zones import Zones, clearances, pack_zones
 from ltv_mpc.messages import Array, Pair
-from ltv_mpc.references.schedule import DEPTH, EAST, NORTH, TIME, WAY, Schedule
-
-Mask: TypeAlias = npt.NDArray[np.bool_]
-
-STEP_M = 0.25
-"""Distance between two points."""
-
-MAX_SAMPLES = 5000
-"""Largest number of steps; a longer path has longer ones."""
-
-
-class PathSamples(NamedTuple):
-    """Points of a path; a place alone counts as two points."""
-
-    points: Array  # (P, 2) north and east (m)
-    at: Array  # (P,) distance from the first point (m)
-    way: Array  # (P,) distance along the path, which does not count detours (m)
-    depth: Array  # (P,) depth (m), NaN if it is unknown
-
-    def length_where(self, holds: Mask) -> float:
-        """Return the length of the path (m) on which a condition (P,) holds."""
-        return float(self.way[-1]) / (len(self.way) - 1) * int(np.count_nonzero(holds))
-
-
-def sample(table: Array) -> PathSamples:
-    """Return points of a schedule's table at equal distances."""
-    north, east = table[NORTH], table[EAST]
-    along = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(north), np.diff(east)))])
-    at = np.linspace(0.0, along[-1], min(max(math.ceil(along[-1] / STEP_M), 1), MAX_SAMPLES) + 1)
-    points = np.column_stack([np.interp(at, along, north), np.interp(at, along, east)])
-    return PathSamples(points, at, np.interp(at, along, table[WAY]), np.interp(at, along, table[DEPTH]))
-
-
-# --- fence ---
+from ltv_mpc.references.schedule import EAST, NORTH, TIME, WAY, Schedule
+from services.tools.path_samples import Mask, PathSamples, sample
 
 WIDE_M = 200.0
 """Free distance to a side above which a corridor counts as open."""
@@ -207,66 +173,3 @@ def _free(zones: Zones, points: Array, direction: Array) -> Array:
             break
         distance[going] += gap[going]
     return np.where(distance < WIDE_M, distance, math.inf)
-
-
-# --- bottom ---
-
-
-class BottomCheck(msgspec.Struct, frozen=True, kw_only=True):
-    """Altitude of the reference above the bottom of a bathymetry, where it is least."""
-
-    altitude_m: float  # negative: below the bottom
-    depth_m: float  # of the reference
-    way_m: float  # distance along the path
-    north_m: float
-    east_m: float
-    too_deep_m: float  # length of the path on which the altitude is less than min_altitude_m
-    unknown_m: float  # length of the path on which the bottom is not known
-
-    @property
-    def place(self) -> str:
-        """Place where the altitude is least, as text."""
-        return f"at {self.way_m:.0f} m of the path (north {self.north_m:.0f} m, east {self.east_m:.0f} m)"
-
-
-def check_bottom(
-    bathymetry: Bathymetry, schedule: Schedule, min_altitude_m: float
-) -> tuple[BottomCheck | None, list[str]]:
-    """Return where the altitude of a reference is least, and what is wrong with it.
-
-    Parameters
-    ----------
-    bathymetry : soundings of the bottom.
-    schedule : motion of the target, or a point as a schedule of one place.
-    min_altitude_m : altitude that is kept (m).
-
-    Returns
-    -------
-    None if the reference has no depth, or the bottom is not known below it; and the problems.
-    """
-    path = sample(schedule.table)
-    if np.isnan(path.depth).all():
-        return None, []
-    altitude = bathymetry.depths(path.points) - path.depth
-    if np.isnan(altitude).all():
-        return None, ["the bathymetry does not reach the reference"]
-    k = int(np.nanargmin(altitude))
-    bottom = BottomCheck(
-        altitude_m=float(altitude[k]),
-        depth_m=float(path.depth[k]),
-        way_m=float(path.way[k]),
-        north_m=float(path.points[k, 0]),
-        east_m=float(path.points[k, 1]),
-        too_deep_m=path.length_where(altitude < min_altitude_m),
-        unknown_m=path.length_where(np.isnan(altitude)),
-    )
-    problems = []
-    if bottom.altitude_m < min_altitude_m:
-        problems.append(
-            f"the reference is too deep for {bottom.too_deep_m:.1f} m of the path, by up to "
-            f"{min_altitude_m - bottom.altitude_m:.1f} m {bottom.place}: depth {bottom.depth_m:.1f} m, bottom "
-            f"{bottom.depth_m + bottom.altitude_m:.1f} m, min_altitude_m = {min_altitude_m:g}"
-        )
-    if bottom.unknown_m > 0.0:
-        problems.append(f"the bathymetry does not reach {bottom.unknown_m:.1f} m of the path")
-    return bottom, problems
