@@ -40,6 +40,9 @@ SPEED_M, MIN_SPEED_MPS = 2.0, 0.05
 DETOUR_ENDS = np.array([0.0, 0.25, 0.5, 1.0])
 """Distances from the zone, in required clearances, at which a detour may leave the path and meet it again."""
 
+BLOCK = 128
+"""Number of columns of which a report of a standing obstacle looks at all or none."""
+
 MAX_COLUMNS = 100_000
 """Largest number of columns of a schedule whose steps were divided."""
 
@@ -65,9 +68,25 @@ class DividedTable(NamedTuple):
 
     table: Array  # (5, M)
     points: Array  # (M, 2) north and east (m), for compiled code
+    circles: Array  # (B, 3) north, east and radius (m) of a circle around each ``BLOCK`` of points
+
+    def within(self, north: float, east: float, radius_m: float) -> Columns:
+        """Return the columns within a distance of a place; points far from it are not looked at.
+
+        Parameters
+        ----------
+        north, east : place (m).
+        radius_m : distance (m).
+        """
+        near = np.hypot(self.circles[:, 0] - north, self.circles[:, 1] - east) < self.circles[:, 2] + radius_m
+        columns = (BLOCK * np.flatnonzero(near)[:, None] + np.arange(BLOCK)).ravel()
+        columns = columns[columns < len(self.points)]
+        return columns[np.hypot(*(self.points[columns] - (north, east)).T) < radius_m]
 
 
-def allowed_path(schedule: Schedule, router: Router, of: DividedTable | None = None) -> tuple[Schedule, float]:
+def allowed_path(
+    schedule: Schedule, router: Router, of: DividedTable | None = None, clear: npt.NDArray[np.bool_] | None = None
+) -> tuple[Schedule, float]:
     """Return the schedule with detours for its columns that are nearer to a zone than the required clearance.
 
     Parameters
@@ -75,6 +94,7 @@ def allowed_path(schedule: Schedule, router: Router, of: DividedTable | None = N
     schedule : motion of the target.
     router : has the zones of the fence and the required clearance.
     of : the divided table of the schedule, if it is known.
+    clear : (M,) which of its columns keep the required clearance, if that is known.
 
     Returns
     -------
@@ -82,8 +102,8 @@ def allowed_path(schedule: Schedule, router: Router, of: DividedTable | None = N
     path whose end has no allowed point near it stays as it is.
     """
     zones, need, keeps_time = router.zones, router.need, isinstance(schedule, TimedSchedule)
-    table, points = divided(schedule.table) if of is None else of
-    clear = are_clear(zones, need, points)
+    table, points, _ = divided(schedule.table) if of is None else of
+    clear = are_clear(zones, need, points) if clear is None else clear
     if clear.all():
         return schedule, 0.0
     # Far from what is left out the path stays as it is, but for its times.
@@ -244,7 +264,9 @@ def divided(table: Array) -> DividedTable:
     if parts.max(initial=1) > 1:
         first = np.concatenate([[0], np.cumsum(parts)])  # columns of the table among those of the parts
         table = np.array([np.interp(np.arange(first[-1] + 1), first, row) for row in table])
-    return DividedTable(table, np.ascontiguousarray(table[[NORTH, EAST]].T))
+    points = np.ascontiguousarray(table[[NORTH, EAST]].T)
+    low, high = (least.reduceat(points, np.arange(0, len(points), BLOCK)) for least in (np.minimum, np.maximum))
+    return DividedTable(table, points, np.column_stack([0.5 * (low + high), 0.5 * np.hypot(*(high - low).T)]))
 
 
 class Routes:
@@ -257,7 +279,8 @@ class Routes:
         self._at_margins: Router | None = None
         self._zones, self._need = NO_ZONES, np.empty(0)
         self._standing = np.empty((0, 3))
-        self._divided: tuple[Schedule, DividedTable] | None = None  # last path, and its table in small steps
+        # Last path, its table in small steps, and which of these are clear of the zones.
+        self._divided: tuple[Schedule, DividedTable, npt.NDArray[np.bool_]] | None = None
 
     def set_zones(self, zones: Zones, need: Array) -> None:
         """Lead round other zones.
@@ -267,7 +290,7 @@ class Routes:
         zones : zones of the fence.
         need : (Z,) required clearance at the stated margins (m).
         """
-        self._zones, self._need = zones, need.copy()
+        self._zones, self._need, self._divided = zones, need.copy(), None
         self._restart()
 
     def set_standing(self, standing: Array) -> bool:
@@ -305,8 +328,13 @@ class Routes:
         if self._at_margins is None:
             return schedule, 0.0
         if self._divided is None or self._divided[0] is not schedule:
-            self._divided = schedule, divided(schedule.table)
-        return allowed_path(schedule, self._at_margins, self._divided[1])
+            of = divided(schedule.table)
+            self._divided = schedule, of, are_clear(self._zones, self._need, of.points)
+        _, of, clear = self._divided
+        clear = clear.copy()
+        for standing in self._standing.tolist():
+            clear[of.within(*standing)] = False
+        return allowed_path(schedule, self._at_margins, of, clear)
 
     def _restart(self) -> None:
         zones, need = self._with_standing(self._need)
