@@ -81,7 +81,8 @@ class DividedTable(NamedTuple):
         near = np.hypot(self.circles[:, 0] - north, self.circles[:, 1] - east) < self.circles[:, 2] + radius_m
         columns = (BLOCK * np.flatnonzero(near)[:, None] + np.arange(BLOCK)).ravel()
         columns = columns[columns < len(self.points)]
-        return columns[np.hypot(*(self.points[columns] - (north, east)).T) < radius_m]
+        inside: Columns = columns[np.hypot(*(self.points[columns] - (north, east)).T) < radius_m]
+        return inside
 
 
 def allowed_path(
