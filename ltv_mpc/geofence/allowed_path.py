@@ -25,7 +25,7 @@ import numpy.typing as npt
 from ltv_mpc.geofence.route import Router
 from ltv_mpc.geofence.zones import Zones, are_clear, clearances, nearest
 from ltv_mpc.messages import Array, Pair
-from ltv_mpc.references.schedule import EAST, NORTH, TIME, WAY, Schedule
+from ltv_mpc.references.schedule import DEPTH, EAST, NORTH, TIME, WAY, Schedule
 from ltv_mpc.references.timed import TimedSchedule
 
 ROUNDING_M = 1e-6
@@ -35,7 +35,7 @@ STEP_M = 0.25
 """Largest distance between two columns: a timed track may have longer ones, which could step over a zone."""
 
 SPEED_M, MIN_SPEED_MPS = 2.0, 0.05
-"""Length to both sides of a detour of which the largest speed is that of the detour; its lower bound."""
+"""Length to both sides of a detour of which the largest speed is that of the detour, and its speed if none moves."""
 
 DETOUR_ENDS = np.array([0.0, 0.25, 0.5, 1.0])
 """Distances from the zone, in required clearances, at which a detour may leave the path and meet it again."""
@@ -132,7 +132,11 @@ def allowed_path(
         left = np.hstack([left, last] if len(kept) else [last, last])
     elif len(kept) == 1:
         left = np.hstack([left, left])
-    left = _with_detours(left, np.flatnonzero(gap), router, keeps_time=keeps_time)
+    # No detour sinks faster than the path beside it and what is left out of it.
+    moves = np.diff(table[TIME]) > 0.0
+    sinking_mps = np.abs(np.nan_to_num(np.diff(table[DEPTH])))[moves] / np.diff(table[TIME])[moves]
+    largest_mps = float(np.max(sinking_mps, initial=0.0))
+    left = _with_detours(left, np.flatnonzero(gap), router, largest_mps, keeps_time=keeps_time)
     delay_s = left[TIME, -1] - table[TIME, -1]
     left = np.hstack([before, left, behind])
     left[TIME, left.shape[1] - behind.shape[1] :] += delay_s
@@ -141,10 +145,10 @@ def allowed_path(
     return schedule._replace(table=left), skipped_m
 
 
-def _with_detours(table: Array, gaps: Columns, router: Router, *, keeps_time: bool) -> Array:
+def _with_detours(table: Array, gaps: Columns, router: Router, sinking_mps: float, *, keeps_time: bool) -> Array:
     """Return the table (5, M) of a schedule with the ways round the zones behind the columns ``gaps``.
 
-    With ``keeps_time`` the target waits behind a gap until the time of the table.
+    They sink at most at ``sinking_mps``. With ``keeps_time`` the target waits behind a gap until the time of the table.
     """
     parts, begin, delay_s = [], 0, 0.0
     ends = np.append(gaps, table.shape[1] - 1)
@@ -153,6 +157,8 @@ def _with_detours(table: Array, gaps: Columns, router: Router, *, keeps_time: bo
         first, last = table[:, before, None], table[:, behind, None].copy()
         planned_s = float(last[TIME, 0] - first[TIME, 0])
         detour_s = 0.0 if way is None else _length_m(way) / _speed_mps(table, before, behind)
+        if sinking_mps > 0.0:
+            detour_s = max(detour_s, abs(float(last[DEPTH, 0] - first[DEPTH, 0])) / sinking_mps)
         last[TIME] = first[TIME] + detour_s
         parts.append(_later(table[:, begin : before + 1], delay_s))
         if way is not None:
@@ -210,8 +216,8 @@ def _speed_mps(table: Array, before: int, behind: int) -> float:
     way = table[WAY]
     first, last = np.searchsorted(way, [way[before] - SPEED_M, way[behind] + SPEED_M])
     step_s, step_m = np.diff(table[TIME, first : last + 1]), np.diff(way[first : last + 1])
-    moves = step_s > 0.0  # on a path at a speed, the part that is left out takes no time
-    return float(np.max(step_m[moves] / step_s[moves], initial=MIN_SPEED_MPS))
+    moves = (step_s > 0.0) & (step_m > 0.0)  # on a path at a speed, the part that is left out takes no time
+    return float(np.max(step_m[moves] / step_s[moves])) if moves.any() else MIN_SPEED_MPS
 
 
 def _later(table: Array, delay_s: float) -> Array:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
+from hypothesis import strategies as st
 
 from ltv_mpc.geofence import allowed_path as allowed_path_module
 from ltv_mpc.geofence.allowed_path import BLOCK, STEP_M, DividedTable, Routes, allowed_path, divided, nearest_allowed
@@ -128,6 +129,20 @@ def test_the_target_takes_the_way_round_a_zone_at_the_speed_that_it_has_before_i
     assert schedule.length_m == before.length_m
     assert np.all(np.diff(table[TIME]) > 0.0)
     assert np.all(np.diff(table[WAY]) > 0.0)
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.floats(0.005, 0.4), st.floats(0.01, 1.0), st.floats(0.0, 30.0), st.booleans())
+def test_a_detour_is_no_faster_and_sinks_no_faster_than_the_path(
+    speed_mps: float, rate_mps: float, depth_m: float, in_place: bool
+) -> None:
+    """The vehicle sinks on the way, or in the zone."""
+    sinks = [Place(north_m=50.0, east_m=0.0, depth_m=z) for z in (0.0, depth_m)] if in_place else []
+    ends = Place(north_m=0.0, east_m=0.0, depth_m=0.0), Place(north_m=100.0, east_m=0.0, depth_m=depth_m)
+    path = Waypoints(waypoints=(ends[0], *sinks, ends[1]), speed_mps=speed_mps, descent_rate_mps=rate_mps)
+    step_s, _, *step_m, sunk_m = np.diff(allowed_path(path.schedule(PAPER), Router(ONE, NEED))[0].table)
+    assert (np.hypot(*step_m) <= speed_mps * step_s * (1.0 + 1e-6) + 1e-6).all()
+    assert (np.abs(sunk_m) <= rate_mps * step_s * (1.0 + 1e-6) + 1e-6).all()
 
 
 @pytest.mark.parametrize("begins_m", [45.0, 45.9])
