@@ -24,7 +24,6 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import solveh_banded
 
 from ltv_mpc.messages import Array
 
@@ -284,6 +283,8 @@ def _least_squares(p: Array, kept: Numbers, ends: Array) -> tuple[Array, Array]:
     kept : (V,) numbers of the points at the ends.
     ends : (V, 3) ends by which the places (leg and share) are found.
     """
+    from scipy.linalg import solveh_banded  # 14 MB, for paths of many points alone
+
     legs = len(kept) - 1
     leg = np.clip(np.searchsorted(kept, np.arange(len(p)), side="right") - 1, 0, legs - 1)
     share, _ = _places(p, ends[leg], np.diff(ends, axis=0)[leg])
