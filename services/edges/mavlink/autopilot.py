@@ -47,11 +47,10 @@ class Autopilot:
         """``ground_station``: system number."""
         self._ground_station = ground_station
         self._seen_us = self.heard_us = self._station_us = -(10**12)
-        self.channel = self.asked = ""
-        """Channel of its newest frame that was accepted, at ``heard_us``: the autopilot is answered there. Another
-        sender in its name, which is asked too while the channel has not answered a request.
-        """
-        self._has_answered = False
+        self.channel = ""
+        """Channel of its newest frame that was accepted, at ``heard_us``: the autopilot is answered there."""
+        self.rival: str | None = ""
+        """Another sender in its name, which is asked too; None once the channel has answered a request."""
         self.system = 0  # system number of the autopilot; 0: none yet
         self.component = 0
         self.kind: Kind | None = None
@@ -67,11 +66,12 @@ class Autopilot:
         first, and only sends.
         """
         if channel != self.channel:
-            if not (signed or now_us > self.heard_us + TIMEOUT_US or (answers and not self._has_answered)):
-                self.asked = "" if self._has_answered else channel
+            if not (signed or now_us > self.heard_us + TIMEOUT_US or (answers and self.rival is not None)):
+                self.rival = None if self.rival is None else channel
                 raise Refused(f"second sender for autopilot {self.system}: {channel} beside {self.channel}")
-            self._has_answered, self.asked = False, ""
-        self._has_answered |= answers
+            self.rival = ""
+        if answers:
+            self.rival = None
 
     def heartbeat(self, message: Any, now_us: int) -> None:
         """Take a heartbeat. Raises ``Refused`` for an autopilot that cannot be driven."""

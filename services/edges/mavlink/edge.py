@@ -185,8 +185,8 @@ class MavlinkEdge(Edge):
         if self.autopilot.kind is None:
             return
         request = self._codec.make.timesync_encode(0, now_us * 1000)
-        if self.autopilot.asked and len(self._requests_ns) == REQUESTS:
-            yield self._send(request)._replace(channel=self.autopilot.asked)
+        if self.autopilot.rival and len(self._requests_ns) == REQUESTS:
+            yield self._send(request)._replace(channel=self.autopilot.rival)
         yield self._send(request)
         self._requests_ns.append(now_us * 1000)
         yield from self._mission.commands(self.command_id)
