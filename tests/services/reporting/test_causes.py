@@ -78,7 +78,11 @@ def dropout(node: Node) -> Node:
     return FaultySensors(node, [SensorFault(Estimate, Failure.OFF, Interval(FROM_NS, 10**12), 0.0, 0)])
 
 
-FAULTS: dict[str, tuple[int, Callable[[Node], Node]]] = {"dropout": (1, dropout), "other": (0, _OtherSource), "late": (0, _LatePlans)}
+FAULTS: dict[str, tuple[int, Callable[[Node], Node]]] = {
+    "dropout": (1, dropout),
+    "other": (0, _OtherSource),
+    "late": (0, _LatePlans),
+}
 """Node of a run by its place, and what replaces it."""
 
 FLOWN: dict[str, dict[str, Any]] = {}
