@@ -28,6 +28,7 @@ from services.recording.reader import StoredMessage
 
 if TYPE_CHECKING:
     from ltv_mpc.safety.estimate_gate import EstimateGate
+
 NODES = frozenset(ROLES) - {DISPLAY, OPERATOR}
 """Names whose messages count on the keys of every node: what others publish there nobody reads, lost or not."""
 
