@@ -8,6 +8,7 @@ start from.
 
 from __future__ import annotations
 
+import math
 from typing import ClassVar
 
 import numpy as np
@@ -67,15 +68,20 @@ class Peer:
     def reset_warm_start(self) -> None:
         """Reset the warm start."""
 
-    def build(self, problem: Problem) -> None:
-        """Keep the problem."""
+    def set_up(self, problem: Problem) -> None:
+        """Nothing: peers set up in their constructor."""
+
+    def solve(self, problem: Problem, shift: float, *, last: bool = True) -> Result:  # noqa: ARG002
+        """Solve a problem of the controller (see ``Solver``)."""
         self.problem = problem
+        if math.isnan(shift):
+            self.reset_warm_start()
+        elif shift != 0.0:
+            self.shift_warm_start(shift)
+        return self.find()
 
-    def update(self) -> None:
-        """Nothing: peers set up and solve in one."""
-
-    def solve(self) -> Result:
-        """Solve what was built."""
+    def find(self) -> Result:
+        """Solve the present problem."""
         raise NotImplementedError
 
     def answer(self, following: Array | None, *, iterations: int = 0, why: str = "") -> Result:

@@ -79,7 +79,7 @@ class CasadiIpopt(Peer):
             blocks = (dual[:gaps], dual[gaps:]) if name == "lam_g0" else (dual,)
             self._duals[name] = np.concatenate([block.reshape(self.stages, -1)[by].ravel() for block in blocks])
 
-    def solve(self) -> Result:
+    def find(self) -> Result:
         """Solve from the guess and the duals of the last solution."""
         lin, F, N = self.lin, self.limits.thrust_scale, self.stages
         low, high = (bound / F for bound in self.limits.box(lin.U[0], self.knots))

@@ -66,7 +66,7 @@ class CvxpyOsqp(Peer):
             ],
         )
 
-    def solve(self) -> Result:
+    def find(self) -> Result:
         """Set the parameters and solve."""
         lin, F, N = self.lin, self.limits.thrust_scale, self.stages
         low, high = self.limits.box(lin.U[0], self.knots)

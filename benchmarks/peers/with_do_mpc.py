@@ -61,7 +61,7 @@ class DoMpcIpopt(Peer):
         """Reset the initial guess: the last solution does not suit the next problem."""
         self._begun = False
 
-    def solve(self) -> Result:
+    def find(self) -> Result:
         """One ``make_step``."""
         lin, F, N, mpc = self.lin, self.limits.thrust_scale, self.stages, self._mpc
         middle, slope = (lin.C[:-1] + lin.C[1:]) / 2, np.diff(lin.C, axis=0) / STAGE_S

@@ -51,7 +51,7 @@ class QpmpcDaqp(Peer):
         change = np.diag(self._change)
         self._of_change = np.vstack([change, -change, change, -change])
 
-    def solve(self) -> Result:
+    def find(self) -> Result:
         """Set up and solve."""
         lin, N = self.lin, self.stages
         A, B = self._transitions()

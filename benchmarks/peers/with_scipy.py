@@ -23,7 +23,7 @@ class ScipyLeastSquares(Peer):
     solves = "NLP"
     settings = "trf with bounds, 2-point differences, commands over their maxima; defaults otherwise; no slew limit"
 
-    def solve(self) -> Result:
+    def find(self) -> Result:
         """Solve from the guess."""
         F = self.limits.thrust_scale
         low, high = (bound / F for bound in self.limits.box(self.lin.U[0], self.knots))

@@ -98,7 +98,7 @@ class LateralPlanner:
         self._last_solver: Solver | None = None
         self._stopwatch = stopwatch
         self._rows_bind = False  # in the last QP; True: the next one has the rows
-        self._solver(self._cycle.plain, math.nan)
+        self._solver(self._cycle.plain)
 
     @property
     def target(self) -> Array:
@@ -280,43 +280,25 @@ class LateralPlanner:
         return cycle.commands(result.z), result.solve
 
     def _run_solver(self, problem: Problem, shift: float, *, last: bool) -> Result:
-        solver = self._solver(problem, shift)
-        solver.build(problem)
+        solver = self._solver(problem)
+        if solver is not self._last_solver:
+            shift = math.nan
+        self._last_solver = solver
         self._stopwatch("build")
-        draft = None if last else getattr(solver, "draft", None)
-        drafted: Result | None = None if draft is None else draft()
-        if drafted is not None:
-            self._stopwatch("solve")
-            return drafted
-        solver.update()
-        self._stopwatch("update")
-        result = solver.solve()
+        result = solver.solve(problem, shift, last=last)
         self._stopwatch("solve")
         if result.solve.status is SolveStatus.NON_FINITE and not is_finite(problem):
             why = describe_non_finite(self._cycle.lin, self.target)
             return result._replace(solve=msgspec.structs.replace(result.solve, why=why))
         return result
 
-    def _solver(self, problem: Problem, shift: float) -> Solver:
-        """Return the solver of problems of this size, with its warm start.
-
-        Parameters
-        ----------
-        problem : of that size.
-        shift : by how many first stages the knots of the last QP lie earlier; NaN if it is not related to the next one.
-        """
+    def _solver(self, problem: Problem) -> Solver:
+        """Return the solver of problems of this size."""
         rows = problem.low.shape[1]
         if rows not in self._solvers:
             self._solvers[rows] = self._make_solver()
-            motion = nominal.any_motion(self._cycle)
-            self._solvers[rows].build(self._cycle.full_problem(problem, motion))
-        solver = self._solvers[rows]
-        if solver is not self._last_solver or math.isnan(shift):
-            solver.reset_warm_start()
-        elif shift != 0.0:
-            solver.shift_warm_start(shift)
-        self._last_solver = solver
-        return solver
+            self._solvers[rows].set_up(self._cycle.full_problem(problem, nominal.any_motion(self._cycle)))
+        return self._solvers[rows]
 
     def _linearise(self, start: Start) -> float:
         """Linearise along the previous plan on the new knots, or along a steering guess if that costs less.

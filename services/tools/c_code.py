@@ -23,7 +23,7 @@ from ltv_mpc.control.failed_qp import STATES, row_names
 from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.ocp.assembly import scales
 from ltv_mpc.control.problem_data import CHANGES, COMMANDS
-from ltv_mpc.control.solvers import Solver, make
+from ltv_mpc.control.solvers import Solver, make, riccati
 from ltv_mpc.control.solvers.osqp import SETTINGS, Arrays, prepare
 from ltv_mpc.control.solvers.recorder import RecordingSolver
 from ltv_mpc.control.solvers.sparse import EXCESS, SparseLayout
@@ -74,10 +74,10 @@ def export(folder: Path, cycle: RecordingSolver, vehicle: Vehicle, config: Resol
     """Write the code of a solved cycle into ``folder``, over existing files."""
     problem, z = cycle.problem, cycle.result.z
     layout = SparseLayout(problem)
-    N, n, m, numbers = len(problem.f), layout.variables, layout.rows, layout.allocate()
-    at = Arrays(numbers, *(np.zeros(size) for size in (n, m, m, len(numbers.A), m, m, m)))
-    duals = np.zeros(problem.low.shape)
-    prepare(problem, layout.masks, layout.places, config.knots, math.nan, Sweep.empty(problem), duals, at)
+    N, n, m, at = len(problem.f), layout.variables, layout.rows, Arrays.empty(layout)
+    work, duals, numbers = Sweep.empty(problem), np.zeros(problem.low.shape), at.numbers
+    riccati.solve(problem, work, config.knots, math.nan, duals)
+    prepare(problem, layout.places, work, duals, at)
     matrices = (layout.P, numbers.P), (layout.A, at.A)
     P, A = (csc_matrix((data, of.indices, of.indptr), of.shape) for of, data in matrices)
     generator = osqp.OSQP(algebra="builtin")

@@ -43,7 +43,7 @@ from services.runtime.stage_timer import StageTimer
 from services.tools.profile.piqp_yardstick import PiqpYardstick
 from services.tools.profile.problems import Episode, length_s, seconds
 
-STAGES = ("predict", "linearise", "build", "update", "solve", "read")
+STAGES = ("predict", "linearise", "build", "solve", "read")
 
 EXACT = 1e-10
 """Absolute tolerance of the solution that thrusts are compared with: four orders below what is compared."""

@@ -123,18 +123,15 @@ class Answer(NamedTuple):
     solve: Solve
 
 
-def solved(solver: Solver, form: Form, lin: Linearisation, target: Array, rows: Array | None = None) -> Answer:
-    """Return the answer to a cycle, from the solver's present warm start."""
-    solver.build(form.problem(lin, target, rows))
-    solver.update()
-    result = solver.solve()
-    return Answer(form.commands(lin, result.z), result.solve)
-
-
-def answer(solver: Solver, form: Form, lin: Linearisation, target: Array, stages: float = math.nan) -> Answer:
+def answer(
+    solver: Solver,
+    form: Form,
+    lin: Linearisation,
+    target: Array,
+    stages: float = math.nan,
+    *,
+    rows: Array | None = None,
+) -> Answer:
     """Return the answer to a cycle ``stages`` first stages after the last one; NaN: there was none."""
-    if math.isnan(stages):
-        solver.reset_warm_start()
-    else:
-        solver.shift_warm_start(stages)
-    return solved(solver, form, lin, target)
+    result = solver.solve(form.problem(lin, target, rows), stages)
+    return Answer(form.commands(lin, result.z), result.solve)

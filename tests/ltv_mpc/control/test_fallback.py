@@ -68,10 +68,10 @@ class FaultySolver(RecordingSolver):
 
     def __init__(self, solver, factory: Faulty) -> None:
         super().__init__(solver)
-        self.factory, self.draft = factory, None  # the fault is one of every QP
+        self.factory = factory
 
-    def solve(self):
-        result = super().solve()
+    def solve(self, *problem, last=True):
+        result = super().solve(*problem, last=last)
         match self.factory.fault:
             case "nan":
                 return result._replace(z=result.z + np.nan)
@@ -177,8 +177,7 @@ STAGES = (
     (SentCommands, "add"),
     (SentCommands, "at"),
     (EstimateGate, "check"),
-    (OsqpSolver, "build"),
-    (OsqpSolver, "update"),
+    (OsqpSolver, "solve"),
     (SparseLayout, "assemble"),
 )
 

@@ -32,7 +32,7 @@ from ltv_mpc.geofence.half_planes import ROWS
 from ltv_mpc.geofence.zones import pack_zones
 from ltv_mpc.messages import Array, SolveStatus
 from tests.ltv_mpc.control.fence_scenes import SMALL, STAGES, scene
-from tests.ltv_mpc.control.problems import PAPER, SOLVER_NAMES, Form, equidistant, motion, solved
+from tests.ltv_mpc.control.problems import PAPER, SOLVER_NAMES, Form, answer, equidistant, motion
 from tests.ltv_mpc.geofence.shapes import disc
 
 N, M = STAGES, 3
@@ -69,7 +69,7 @@ def test_every_solver_has_them(solver: str) -> None:
     of, active = form(), 0
     for seed in range(8):
         lin, target, rows = problem(seed, 0.05)
-        commands, solve = solved(make(PAPER, settings(solver)), of, lin, target, rows)
+        commands, solve = answer(make(PAPER, settings(solver)), of, lin, target, rows=rows)
         best = of.optimum(lin, target, rows)
         assert solve.status is SolveStatus.SOLVED, solve.why
         np.testing.assert_allclose(commands, best, atol=0.1)
@@ -88,7 +88,7 @@ def test_two_walls_that_leave_no_room_between_them_are_no_hard_problem(solver: s
         rows[:, :2, 2] += overlap
         rows[:, 1, 2] = overlap - rows[:, 0, 2]
         made = make(PAPER, msgspec.structs.replace(settings(solver), max_iterations=70))
-        commands, solve = solved(made, of, lin, target, rows)
+        commands, solve = answer(made, of, lin, target, rows=rows)
         assert solve.status is SolveStatus.SOLVED, solve.why
         np.testing.assert_allclose(commands, of.optimum(lin, target, rows), atol=0.1)
 

@@ -40,7 +40,7 @@ def anything(seed: int, n: int = 3, m: int = 2, M: int = 4, stages: int = 5) -> 
 def solved(p: Problem):
     """Return states and inputs, and the duals."""
     work, y = Sweep.empty(p), np.zeros(p.low.shape)
-    assert riccati.solve(p, work, 60, y)[0] == CONVERGED
+    assert riccati.solve(p, work, np.arange(len(p.h) + 0.0), math.nan, y)[0] == CONVERGED
     return work.z, y
 
 

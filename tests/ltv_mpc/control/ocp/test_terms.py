@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from msgspec.structs import asdict
@@ -100,10 +102,7 @@ def test_every_solver_feels_it(term: str, name: str) -> None:
         terms.cost(lin.X, lin.U, lin.C, target, alone(term), more)
     before, wanted = (form.commands(lin, solution_of(p, precise(sparse_qp(p)))) for p in (once, more))
     assert np.abs(before - wanted).max() > 0.01
-    solver = SOLVERS[name](config)
-    solver.build(more)
-    solver.update()
-    result = solver.solve()
+    result = SOLVERS[name](config).solve(more, math.nan)
     assert result.solve.status is SolveStatus.SOLVED
     np.testing.assert_allclose(form.commands(lin, result.z), wanted, atol=5e-3)
 
