@@ -264,7 +264,8 @@ class LateralPlanner:
             else:
                 left -= 1
             if left > 0:
-                nominal.linearise(cycle, U)
+                cycle.lin.X[...], cycle.lin.U[...] = X, U
+                nominal.linearise(cycle.packed, cycle.lin)
         return LateralPlan(X, U, PlanOrigin.SOLVED, solve, "")
 
     def _solve_qp(self, shift: float, *, near: bool, last: bool) -> tuple[Array, Solve]:

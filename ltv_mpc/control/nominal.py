@@ -62,25 +62,16 @@ def ramp_to(packed: Array, start: Array, goal: Array, C: Array, X: Array, U: Arr
 
 
 @jit
-def _linearise(packed: Array, start: Array, goal: Array, lin: Linearisation) -> None:
-    """Linearise along the motion that ``ramp_to`` gives, in the current of the linearisation."""
-    c, o = unpack_constants(packed), unpack_constants(packed).objective
-    copy_to(lin.U, goal)
-    copy_to(lin.X[0], start[:STATES])
-    copy_to(lin.U[0], start[STATES:])
-    clip_to_limits(lin.U, o.t, o.low, o.high, o.max_change)
-    linearise_along(lin, o.t, c.stage_s, c.p, True)
-
-
-def linearise(cycle: Cycle, goal: Array) -> None:
-    """Linearise along the motion that commands lead to.
+def linearise(packed: Array, lin: Linearisation) -> None:
+    """Linearise along a trajectory.
 
     Parameters
     ----------
-    cycle : has start and current.
-    goal : as at the head of this file.
+    packed : as at the head of this file.
+    lin : has the trajectory, and is overwritten.
     """
-    _linearise(cycle.packed, cycle.start, goal, cycle.lin)
+    c = unpack_constants(packed)
+    linearise_along(lin, c.objective.t, c.stage_s, c.p)
 
 
 @jit
@@ -124,10 +115,10 @@ def choose_nominal(cycle: Cycle, start: Array, old: Array, stages: float, *, was
     """
     lin, best, kind = cycle.lin, UNKNOWN, STEERED_AHEAD
     cycle.start[:] = start
-    guess = goal = old.copy()
     if not math.isnan(stages):
+        goal = old.copy()
         shooting_grid.shift(goal, cycle.knots, stages)
-        linearise(cycle, goal)
+        ramp_to(cycle.packed, start, goal, lin.C, lin.X, lin.U)
         kind, best = PREVIOUS_PLAN, _score(cycle, lin.X, lin.U)
     for other_kind in (STEERED_AHEAD,) if bow_first(cycle.packed) else (STEERED_AHEAD, STEERED_ASTERN):
         X, U = np.empty_like(lin.X), np.empty_like(lin.U)
@@ -141,9 +132,9 @@ def choose_nominal(cycle: Cycle, start: Array, old: Array, stages: float, *, was
         tail = 1.0 if (best.stuck or other.stuck) and other.fence <= best.fence else 0.0
         before = best.cost + best.fence + tail * best.tail
         if other.cost + other.fence + tail * other.tail < before or math.isinf(best.cost):
-            kind, best, guess = other_kind, other, U
-    if kind != PREVIOUS_PLAN:
-        linearise(cycle, guess)
+            kind, best = other_kind, other
+            lin.X[...], lin.U[...] = X, U
+    linearise(cycle.packed, lin)
     cycle.score = best
     return kind
 
@@ -157,7 +148,9 @@ def any_motion(cycle: Cycle) -> Linearisation:
     """
     lin, rng = Linearisation.empty(len(cycle.target) - 1), np.random.default_rng(0)
     lin.C[:] = rng.normal(size=lin.C.shape)
-    _linearise(cycle.packed, rng.normal(size=len(cycle.start)), rng.normal(size=lin.U.shape), lin)
+    start, goal = rng.normal(size=len(cycle.start)), rng.normal(size=lin.U.shape)
+    ramp_to(cycle.packed, start, goal, lin.C, lin.X, lin.U)
+    linearise(cycle.packed, lin)
     return lin
 
 
