@@ -155,13 +155,13 @@ def test_a_shifted_plan_with_a_motion_that_is_not_finite_gives_way_to_zero_thrus
     controller, solver = faulty()
     estimate, before = fly(controller, moving(), 20)
     solver.fault = "infeasible"
-    ramp_to, first = nominal.ramp_to, iter([math.nan])
+    ramp_to, errors = nominal.ramp_to, iter([0.0, math.nan])  # of the nominal trajectory, and of the shifted plan
 
-    def not_finite_at_first(*args):
+    def not_finite_at_once(*args):
         ramp_to(*args)
-        args[-1][:] += next(first, 0.0)
+        args[-1][:] += next(errors, 0.0)
 
-    monkeypatch.setattr(nominal, "ramp_to", not_finite_at_first)
+    monkeypatch.setattr(nominal, "ramp_to", not_finite_at_once)
     plan = controller.plan(estimate)
     check(plan, before)
     assert (plan.origin, plan.why) == (ZERO, "as asked")
