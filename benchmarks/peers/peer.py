@@ -15,11 +15,10 @@ import numpy as np
 
 from ltv_mpc.control import controller
 from ltv_mpc.control.config import ResolvedConfig
-from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.lateral import LateralPlanner
 from ltv_mpc.control.linearisation import Linearisation
 from ltv_mpc.control.ocp.problem import Problem, roll_out
-from ltv_mpc.control.problem_data import CHANGES
+from ltv_mpc.control.problem_data import CHANGES, Constants
 from ltv_mpc.control.solvers.interface import Result
 from ltv_mpc.messages import Array, Solve, SolveStatus
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -46,7 +45,7 @@ class Peer:
     solves: ClassVar[str]
     settings: ClassVar[str]  # what differs from the tool's defaults, and why
 
-    def __init__(self, config: ResolvedConfig, limits: HorizonLimits, vehicle: Vehicle) -> None:
+    def __init__(self, config: ResolvedConfig, limits: Constants, vehicle: Vehicle) -> None:
         self.stages, self.knots = config.stages, config.knots
         self.weights = config.weights
         self.limits = limits
@@ -61,6 +60,11 @@ class Peer:
     def reference(self) -> Array:
         """Positions (N, 2) wanted; what is held is a point, so no velocity is wanted at the end."""
         return _now[0][1][:-1]
+
+    def box(self) -> tuple[Array, Array]:
+        """Lower and upper bounds of the commands at the knots 1 .. N, (N, 2) each (N); a start outside returns."""
+        start, reach = self.lin.U[0], self.knots[1:, None] * self.limits.max_change
+        return np.minimum(self.limits.low, start + reach), np.maximum(self.limits.high, start - reach)
 
     def shift_warm_start(self, stages: float) -> None:
         """Shift the warm start by this number of stages."""

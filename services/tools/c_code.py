@@ -17,10 +17,9 @@ import numpy.typing as npt
 import osqp
 from scipy.sparse import csc_matrix
 
-from ltv_mpc.control.config import STAGE_NS, ResolvedConfig
+from ltv_mpc.control.config import ResolvedConfig
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.failed_qp import STATES, row_names
-from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.ocp.assembly import scales
 from ltv_mpc.control.problem_data import CHANGES, COMMANDS
 from ltv_mpc.control.solvers import Solver, make, riccati
@@ -84,7 +83,7 @@ def export(folder: Path, cycle: RecordingSolver, vehicle: Vehicle, config: Resol
     generator.setup(P, numbers.q, A, at.l, at.u, **SETTINGS, eps_abs=0.1 * config.tolerance, max_iter=100_000)
     generator.codegen(str(folder), parameters="matrices", prefix="mpc_", extension_name=None, force_rewrite=True)
 
-    scale, column = scales(HorizonLimits.from_vehicle(vehicle, STAGE_NS * 1e-9)), layout.places.column
+    scale, column = scales(vehicle), layout.places.column
     names = (*STATES, ("change of port's command to the next", "N"), ("change of starboard's command to the next", "N"))
     rows = [(row.scale, f"{i}: {row.name} ({row.unit})") for i, row in enumerate(row_names(layout, scale))]
     placed = enumerate(np.argwhere(column >= 0))  # columns have the order of states and inputs

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import contextlib
 
-from ltv_mpc.control.config import STAGE_NS, ControllerConfig
+from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.failed_qp import NamedQp, row_names
-from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.ocp.assembly import scales
 from ltv_mpc.control.ocp.problem import Problem
 from ltv_mpc.control.solvers import SolverFactory, make
@@ -54,8 +53,7 @@ class QpRecorder:
 
     def __call__(self, vehicle: Vehicle, config: ControllerConfig) -> Solver:
         """Return a solver for these settings."""
-        scale = scales(HorizonLimits.from_vehicle(vehicle, STAGE_NS * 1e-9))
-        return _NamingSolver(self._make_solver(vehicle, config), self, scale)
+        return _NamingSolver(self._make_solver(vehicle, config), self, scales(vehicle))
 
     def newest(self) -> NamedQp | None:
         """Return the QP that was solved last, with the names of its rows: until the next cycle that of the plan.

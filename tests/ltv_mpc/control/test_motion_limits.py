@@ -10,10 +10,10 @@ import pytest
 
 from ltv_mpc.control.config import ControllerConfig, MotionLimits
 from ltv_mpc.control.controller import Controller
-from ltv_mpc.control.horizon_limits import MIN_PENALTY, HorizonLimits
 from ltv_mpc.control.ocp.assembly import cost
+from ltv_mpc.control.ocp.limits import MIN_PENALTY
 from ltv_mpc.control.ocp.problem import Problem
-from ltv_mpc.control.problem_data import pack_objective, unpack_objective
+from ltv_mpc.control.problem_data import Constants
 from ltv_mpc.control.qp import QP, residuals
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.solvers import make, osqp, riccati, solve_qp
@@ -22,7 +22,7 @@ from ltv_mpc.control.solvers.sweep import Sweep
 from ltv_mpc.messages import Array, Estimate, SolveStatus
 from ltv_mpc.references import Line, Place, Point
 from tests.ltv_mpc.control.flights import at_rest, fly
-from tests.ltv_mpc.control.problems import PAPER, SOLVER_NAMES, Form, answer, equidistant, motion, precise
+from tests.ltv_mpc.control.problems import LIMITS, PAPER, SOLVER_NAMES, Form, answer, equidistant, motion, precise
 
 N = 17
 YAW = MotionLimits.symmetric(yaw_rate_radps=0.15)
@@ -37,7 +37,9 @@ def settings(limits: MotionLimits, **fields: object) -> ControllerConfig:
 
 def form_of(limits: MotionLimits) -> Form:
     config = settled(settings(limits), PAPER)
-    return Form(equidistant(N), HorizonLimits.from_vehicle(PAPER, 0.3, limits.state_bounds), config.weights)
+    return Form(
+        equidistant(N), Constants.of(PAPER, config.weights, equidistant(N), limits.state_bounds), config.weights
+    )
 
 
 def laid_out(problem: Problem) -> tuple[SparseLayout, QP]:
@@ -63,7 +65,7 @@ def test_the_penalty_is_exact(limits: MotionLimits) -> None:
             ours, hard = (form.commands(lin, solution_of(problem, of)) for of in (x, within.x))
             np.testing.assert_allclose(ours, hard, atol=1e-6)
             assert excess < 1e-7
-            free = Form(equidistant(N), HorizonLimits.from_vehicle(PAPER, 0.3), form.weights)
+            free = Form(equidistant(N), LIMITS, form.weights)
             kept += bool(np.abs(ours - free.optimum(lin, target)).max() > 1.0)  # and it holds something back
     assert kept >= 3
     assert bought >= 1
@@ -147,14 +149,12 @@ def test_of_a_target_out_of_reach_only_the_direction_counts() -> None:
 def test_the_exact_flow_is_judged_by_them_too() -> None:
     """What the line search looks at costs as the QP has it: by stage lengths and scales."""
     knots = np.array([0.0, 1.0, 2.0, 4.0])
-    limits = HorizonLimits.from_vehicle(PAPER, 0.3, np.array([[-0.4, -0.1], [0.2, 0.3]]))
     weights = settled(ControllerConfig(), PAPER).weights
-    free, bound = (
-        unpack_objective(pack_objective(knots, of, weights)) for of in (HorizonLimits.from_vehicle(PAPER, 0.3), limits)
-    )
+    free = Constants.of(PAPER, weights, knots)
+    bound = Constants.of(PAPER, weights, knots, np.array([[-0.4, -0.1], [0.2, 0.3]]))
     X, U, C, target = np.zeros((4, 8)), np.zeros((4, 2)), np.zeros((4, 2)), np.zeros((4, 2))
     X[:, 2], X[:, 5] = [9.0, 0.2, -0.5, 0.1], [9.0, -0.3, 0.0, 0.16]
-    scale = limits.state_scale
+    scale = bound.state_scale
     foreseen = MIN_PENALTY * ((0.1 + 0.0 * 2) / scale[2] + (0.2 + 0.0 * 2) / scale[5])
     assert cost(X, U, C, target, bound) - cost(X, U, C, target, free) == pytest.approx(foreseen)
 
