@@ -12,7 +12,7 @@ from services.bus.time_shift import shifted
 from services.bus.topics import BY_TYPE, LATEST, STATES, source_of
 from services.bus.wire import decode
 from services.runtime.clock import monotonic_us
-from services.runtime.supervisor_link import SUPERVISOR_LINK
+from services.runtime.lifeline import LIFELINE
 
 MAX_RECORDED_STEPS = 1000
 """Largest number of steps in a record: a frame has a largest size."""
@@ -92,8 +92,8 @@ class NodeIO:
         state: Message | None = None
         if self._saved is not None:
             state = self._saved.restored(t_ns, now_us, own_clock=own_clock)
-        elif SUPERVISOR_LINK.state:
-            state = decode(STATES[self._node], SUPERVISOR_LINK.state)[0]
+        elif LIFELINE.state:
+            state = decode(STATES[self._node], LIFELINE.state)[0]
         if state is not None:
             self.publish_to_self(state, t_ns, first=True)
 

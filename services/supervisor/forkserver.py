@@ -8,7 +8,7 @@ The server is the same after a fork, so the second restart is as quick as the fi
 takes longer, while no server has loaded, as the router, which is the first of all, or if the server does not reply.
 
     reply     0: the server has loaded
-    request   module, config and log (JSON), with the child's standard input and heartbeat pipe (descriptors)
+    request   module, config and log (JSON), with the child's standard input and lifeline (descriptors)
     reply     the child's pid
 
 The server has one thread and opens no Zenoh session, so no lock is held during a fork. It forks twice, and the process
@@ -60,11 +60,11 @@ PIPE_BYTES = 1 << 20  # a state fits into the pipe, so that a stopped child does
 
 
 class Child(NamedTuple):
-    """Child process of the supervisor, and the supervisor's ends of the two pipes to it."""
+    """Child process of the supervisor, and the supervisor's ends of its standard input and its lifeline."""
 
     pid: int
     stdin: int
-    heartbeat: int
+    heartbeats: int
 
 
 class ForkServer:
@@ -117,16 +117,16 @@ class ForkServer:
     def start(self, module: str, config: Path, log: Path) -> Child:
         """Start a child: forked by the server, or spawned if the server has not loaded, or does not reply in time."""
         stdin, into_stdin = os.pipe()
-        heartbeats, heartbeat = os.pipe()
+        heartbeats, lifeline = (end.detach() for end in socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET))
         with contextlib.suppress(OSError):  # more than this user is allowed
             fcntl.fcntl(into_stdin, fcntl.F_SETPIPE_SZ, PIPE_BYTES)
         os.set_blocking(heartbeats, False)
         try:
             begin = self._fork if self.is_loaded() else self._spawn
-            pid = begin(module, str(config), str(log), stdin, heartbeat)
+            pid = begin(module, str(config), str(log), stdin, lifeline)
         finally:
             os.close(stdin)
-            os.close(heartbeat)
+            os.close(lifeline)
         if pid is not None:
             return Child(pid, into_stdin, heartbeats)
         os.close(into_stdin)  # a child that the server has forked too late ends at the end of its input
@@ -138,23 +138,23 @@ class ForkServer:
         self._end()
         _set_subreaper(False)
 
-    def _fork(self, module: str, config: str, log: str, stdin: int, heartbeat: int) -> int | None:
+    def _fork(self, module: str, config: str, log: str, stdin: int, lifeline: int) -> int | None:
         """Return the pid of a forked child; None if the server does not reply in time: it is killed then."""
         with contextlib.suppress(ConnectionError):  # the server has died
-            socket.send_fds(self._requests, [msgspec.json.encode((module, config, log))], (stdin, heartbeat))
+            socket.send_fds(self._requests, [msgspec.json.encode((module, config, log))], (stdin, lifeline))
         pid = self._reply(REPLY_TIMEOUT_S)
         if pid is None:
             self._end()
         return pid
 
-    def _spawn(self, module: str, config: str, log: str, stdin: int, heartbeat: int) -> int:
+    def _spawn(self, module: str, config: str, log: str, stdin: int, lifeline: int) -> int:
         """Return the pid of a spawned child."""
-        arguments = [*PYTHON, *ENTRY_POINT, str(os.getpid()), module, config, str(heartbeat)]
+        arguments = [*PYTHON, *ENTRY_POINT, str(os.getpid()), module, config, str(lifeline)]
         actions = [
             (os.POSIX_SPAWN_DUP2, stdin, 0),
             (os.POSIX_SPAWN_OPEN, 1, log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666),
             (os.POSIX_SPAWN_DUP2, 1, 2),
-            (os.POSIX_SPAWN_DUP2, heartbeat, heartbeat),  # which makes it inheritable
+            (os.POSIX_SPAWN_DUP2, lifeline, lifeline),  # which makes it inheritable
         ]
         return os.posix_spawn(sys.executable, arguments, os.environ, file_actions=actions, setpgroup=self._group)
 
@@ -234,7 +234,7 @@ def _fork(parent: int, request: tuple[str, str, str], descriptors: list[int], re
     return int(pid)
 
 
-def _run_child(parent: int, module: str, config: str, log: str, stdin: int, heartbeat: int) -> NoReturn:
+def _run_child(parent: int, module: str, config: str, log: str, stdin: int, lifeline: int) -> NoReturn:
     """Run the requested child to its end."""
     code = 1
     try:
@@ -246,7 +246,7 @@ def _run_child(parent: int, module: str, config: str, log: str, stdin: int, hear
         until = time.monotonic() + ADOPTION_TIMEOUT_S
         while os.getppid() != parent and time.monotonic() < until:
             time.sleep(0.001)
-        code = entry_point.run(str(parent), module, config, str(heartbeat))
+        code = entry_point.run(str(parent), module, config, str(lifeline))
     except SystemExit as stop:
         code = stop.code if isinstance(stop.code, int) else int(stop.code is not None)
     except BaseException:

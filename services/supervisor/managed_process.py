@@ -1,7 +1,7 @@
-"""Managed child process of the supervisor: log file, heartbeat pipe, exit code.
+"""Managed child process of the supervisor: log file, lifeline, exit code.
 
-A dead process is noticed within milliseconds: the kernel closes its end of the heartbeat pipe, and ``select`` in
-``child_processes.py`` returns. A process that hangs keeps the pipe open and is found by its silence
+A dead process is noticed within milliseconds: the kernel closes its end of the lifeline, and ``select`` in
+``child_processes.py`` returns. A process that hangs keeps it open and is found by its silence
 (``hang_detector.py``).
 """
 
@@ -11,17 +11,18 @@ import contextlib
 import os
 import select
 import signal
+import time
 from pathlib import Path
 
-from services.runtime.supervisor_link import HEARTBEAT_FORMAT, LAST_HEARTBEAT, STATE_LENGTH
+from services.runtime.lifeline import STATE_LENGTH, STOPPING, WATCHDOG
 from services.supervisor.forkserver import ForkServer
 from services.supervisor.hang_detector import HANG_TIMEOUT_S, HangDetector, ProcessorLack
 from services.supervisor.process_table import ProcessRow
 
 LAST_LINES = 12
 LOG_TAIL_BYTES = 16_384
-HEARTBEAT_BYTES = 4096  # read at once
-EXIT_TIMEOUT_S = 0.2  # from the end of the heartbeat pipe to the exit of the process
+NOTIFICATION_BYTES = 4096
+EXIT_TIMEOUT_S = 0.2  # from the end of the lifeline to the exit of the process
 SIMULATION_HANG_TIMEOUT_S = 10.0  # plant and sensors are not restarted: a busy machine must not end the run too early
 KILL_TIMEOUT_S = 5.0  # longest wait for the exit after SIGKILL, which a process that waits for a dead disk survives
 
@@ -38,7 +39,7 @@ class ManagedProcess:
         self.pid = 0
         self.heartbeat_fd = self._stdin = self._pidfd = -1
         self.pipe_closed = False
-        """True once the child has closed its heartbeat pipe: it has ended, or is about to."""
+        """True once the child has closed its lifeline: it has ended, or is about to."""
         self._forks = forks
         self._config = config
         self._log: Path
@@ -59,14 +60,13 @@ class ManagedProcess:
             os.write(self._stdin, STATE_LENGTH.pack(len(state)) + state)
 
     def read_heartbeats(self) -> None:
-        """Read the heartbeats that have arrived. At the end of the pipe, wait for the exit, which follows at once."""
+        """Read the heartbeats that have arrived. At its end, wait for the exit, which follows at once."""
         with contextlib.suppress(BlockingIOError):
-            while data := os.read(self.heartbeat_fd, HEARTBEAT_BYTES):
-                for (at_us,) in HEARTBEAT_FORMAT.iter_unpack(data):
-                    if at_us == LAST_HEARTBEAT:
-                        self.hang_detector.end()
-                    else:
-                        self.hang_detector.beat(at_us / 1e6)
+            while notification := os.read(self.heartbeat_fd, NOTIFICATION_BYTES):
+                if notification == WATCHDOG:
+                    self.hang_detector.beat(time.monotonic())
+                elif notification == STOPPING:
+                    self.hang_detector.end()
             self.pipe_closed = True
             self._wait(EXIT_TIMEOUT_S)
 

@@ -34,10 +34,10 @@ from services.recording.segments import SegmentWriter
 from services.recording.writer import RunWriter
 from services.runtime import recording_loop
 from services.runtime.clock import monotonic_us
+from services.runtime.lifeline import Lifeline
 from services.runtime.publication_time import FOLLOWS_HOST
 from services.runtime.recording_loop import BEGAN_BEFORE, RecordingLoop
 from services.runtime.stopping import StopRequest
-from services.runtime.supervisor_link import SupervisorLink
 from tests.services.words import running_clock, status
 from tests.waiting import until
 
@@ -203,8 +203,8 @@ def test_a_late_recorder_counts_no_loss_and_reports_what_cannot_be_replayed(tmp_
     assert said[-1].endswith("messages recorded, lost: 1 on sensor/depth")
 
 
-class Watched(SupervisorLink):
-    """Link that notes at each heartbeat how many frames the loop has rejected so far."""
+class Watched(Lifeline):
+    """Lifeline that notes at each heartbeat how many frames the loop has rejected so far."""
 
     loop: RecordingLoop
 
@@ -222,7 +222,7 @@ def test_a_flood_neither_stops_the_heartbeats_nor_the_recorder_and_is_answered_w
 ) -> None:
     """Frames of an unknown key and messages arrive faster than they are written, and go on after the stop request."""
     link, ended, said = Watched(), threading.Event(), list[str]()
-    monkeypatch.setattr(recording_loop, "SUPERVISOR_LINK", link)
+    monkeypatch.setattr(recording_loop, "LIFELINE", link)
 
     def pour() -> None:
         sequence = 0

@@ -23,7 +23,7 @@ from tests.waiting import until
 QUICK = """
 import re, sys, time, types
 import msgspec
-from services.runtime.supervisor_link import SUPERVISOR_LINK
+from services.runtime.lifeline import LIFELINE
 from services.supervisor import entry_point, forkserver
 
 class Config(msgspec.Struct):
@@ -33,7 +33,7 @@ class Config(msgspec.Struct):
 def main(config):
     '''In the place of a node: what its config asks for.'''
     print(config.task, flush=True)
-    SUPERVISOR_LINK.beat(time.monotonic_ns() // 1000)
+    LIFELINE.beat(time.monotonic_ns() // 1000)
     match config.task:
         case "exits":
             return config.code
