@@ -41,13 +41,9 @@ def main(config: Config) -> int:
     console = Console(Estimator.name, as_json=config.log_json)
     if published is None:
         console.say(TOO_LARGE)
-    node = Estimator(sensor_config, filter_config, prior, progress=_beat)
+    # Signs of life during a long computation.
+    node = Estimator(sensor_config, filter_config, prior, progress=lambda: LIFELINE.beat(monotonic_us()))
     return Runner(node, settings=published).main(console, config.bus)
-
-
-def _beat() -> None:
-    """Report a sign of life during a long computation."""
-    LIFELINE.beat(monotonic_us())
 
 
 def warm_up(sensor_config: SensorConfig, config: EstimatorConfig) -> None:
