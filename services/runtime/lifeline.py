@@ -9,9 +9,9 @@ Both receive them by the protocol of systemd, sd_notify(3), one datagram each:
     STOPPING=1   the loop has ended
 
 A service manager gives the address of its socket in ``NOTIFY_SOCKET``: a path, or @NAME in the abstract namespace. A
-supervisor gives one end of a socket pair, and on the standard input the state to continue from, of a process in place
-of a dead one. Notifications do not travel over the bus, because its router may be what has failed. A process that
-nobody watches sends none.
+supervisor gives one end of a socket pair, on which it lets the process go on, and as the standard input a file with the
+state to continue from, of a process in place of a dead one. Notifications do not travel over the bus, because its
+router may be what has failed. A process that nobody watches sends none.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ from __future__ import annotations
 import contextlib
 import os
 import socket
-import struct
 from collections.abc import Mapping
 
 SOCKET, WATCHDOG_US, WATCHDOG_PID = "NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID"
@@ -32,7 +31,9 @@ NOTIFICATIONS_PER_TIMEOUT = 4
 HEARTBEAT_PERIOD_US = 100_000
 """Time between two watchdog notifications to a supervisor."""
 
-STATE_LENGTH = struct.Struct("<I")
+GO = b"go"
+"""What a supervisor sends once: the process is the one that it has started."""
+
 STDIN = 0
 
 
@@ -63,18 +64,17 @@ class Lifeline:
             self._watchdog_period_us = max(int(timeout_us) // NOTIFICATIONS_PER_TIMEOUT, 1)
 
     def connect_to_supervisor(self, fd: int, *, stdin: int = STDIN) -> None:
-        """Use the supervisor's socket, and read the state from its pipe.
+        """Wait on the supervisor's socket until it lets this process go on, and read the state.
 
-        Raises ``SystemExit`` if the supervisor has died.
+        Raises ``SystemExit`` if the supervisor has died, or has started another process in its place.
         """
+        if os.read(fd, len(GO)) != GO:
+            raise SystemExit(1)
         self._use(fd)
         self._watchdog_period_us, self.due_us = HEARTBEAT_PERIOD_US, 0
-        with open(stdin, "rb", closefd=False) as pipe:
-            head = pipe.read(STATE_LENGTH.size)
-            (length,) = STATE_LENGTH.unpack(head) if len(head) == STATE_LENGTH.size else (1,)
-            self.state = pipe.read(length)
-        if len(self.state) < length:
-            raise SystemExit(1)
+        with open(stdin, "rb", closefd=False) as file:
+            file.seek(0)
+            self.state = file.read()
 
     def ready(self) -> None:
         """Report that the process has started; its watchdog notifications begin."""

@@ -22,8 +22,9 @@ from services.bus.rate_limit import RateLimit
 from services.bus.roles import HISTORY
 from services.bus.sequence_check import FAR_AHEAD
 from services.bus.session import Reply, open_session
+from services.bus.topics import key_of
 from services.bus.wire import Header, WireError, crc, from_map, header_of, unpack
-from services.recording.acceptance import LATE, Acceptance
+from services.recording.acceptance import LATE, NODES, Acceptance
 from services.recording.history import read_query
 from services.recording.publish_counts import PublishCounts
 from services.recording.segments import SegmentWriter
@@ -237,5 +238,6 @@ class RecordingLoop:
         if refused and refused is not LATE and not refused.startswith(FAR_AHEAD):
             self._publish_counts.discount(header.epoch)
         self._status.on_delivery(header.sent_monotonic_us, frame.received_monotonic_us, monotonic_us())
-        if isinstance(message, NodeStatus) and message.finished and not refused:
+        named = message is not None and message.node in NODES and frame.key == key_of(NodeStatus, message.node)
+        if isinstance(message, NodeStatus) and message.finished and named and not refused:
             self._publish_counts.set_published(header.epoch, message.node, message.published)

@@ -14,7 +14,7 @@ import signal
 import time
 from pathlib import Path
 
-from services.runtime.lifeline import STATE_LENGTH, STOPPING, WATCHDOG
+from services.runtime.lifeline import STOPPING, WATCHDOG
 from services.supervisor.forkserver import ForkServer
 from services.supervisor.hang_detector import HANG_TIMEOUT_S, HangDetector, ProcessorLack
 from services.supervisor.process_table import ProcessRow
@@ -37,7 +37,7 @@ class ManagedProcess:
         self.row = row
         self.hang_detector: HangDetector
         self.pid = 0
-        self.heartbeat_fd = self._stdin = self._pidfd = -1
+        self.heartbeat_fd = self._pidfd = -1
         self.pipe_closed = False
         """True once the child has closed its lifeline: it has ended, or is about to."""
         self._forks = forks
@@ -51,13 +51,11 @@ class ManagedProcess:
         self.close()
         self._starts += 1
         self._log = self._config.with_suffix(".log" if self._starts == 1 else f".{self._starts}.log")
-        self.pid, self._stdin, self.heartbeat_fd = self._forks.start(self.row.module, self._config, self._log)
+        self.pid, self.heartbeat_fd = self._forks.start(self.row.module, self._config, self._log, state)
         self._code, self.pipe_closed = None, False
         self._pidfd = os.pidfd_open(self.pid)
         timeout_s = HANG_TIMEOUT_S if self.row.restartable else SIMULATION_HANG_TIMEOUT_S
         self.hang_detector = HangDetector(ProcessorLack(self.pid), timeout_s)
-        with contextlib.suppress(BrokenPipeError):  # the child is already dead, which is noticed elsewhere
-            os.write(self._stdin, STATE_LENGTH.pack(len(state)) + state)
 
     def read_heartbeats(self) -> None:
         """Read the heartbeats that have arrived. At its end, wait for the exit, which follows at once."""
@@ -96,10 +94,10 @@ class ManagedProcess:
 
     def close(self) -> None:
         """Close all descriptors; the exit code stays."""
-        for fd in (self.heartbeat_fd, self._stdin, self._pidfd):
+        for fd in (self.heartbeat_fd, self._pidfd):
             if fd >= 0:
                 os.close(fd)
-        self.heartbeat_fd = self._stdin = self._pidfd = -1
+        self.heartbeat_fd = self._pidfd = -1
 
     def last_lines(self) -> tuple[str, ...]:
         """Return the last lines of the child's log."""

@@ -14,7 +14,7 @@ import pytest
 
 from services.bus.options import BusOptions
 from services.bus.session import open_session
-from services.runtime.lifeline import HEARTBEAT_PERIOD_US, STATE_LENGTH, Lifeline
+from services.runtime.lifeline import GO, HEARTBEAT_PERIOD_US, Lifeline
 from services.runtime.stage_timer import StageTimer
 from services.runtime.stopping import StopRequest
 from services.supervisor import loopback
@@ -98,15 +98,15 @@ def supervisor() -> Iterator[tuple[socket.socket, socket.socket]]:
         yield ours, theirs
 
 
-def supervised(end: socket.socket, given: bytes = STATE_LENGTH.pack(0)) -> Lifeline:
-    """Return the lifeline to a supervisor that has written ``given``."""
-    process, (reading, writing) = Lifeline(), os.pipe()
-    os.write(writing, given)
-    os.close(writing)
+def supervised(ends: tuple[socket.socket, socket.socket], state: bytes = b"") -> Lifeline:
+    """Return the lifeline of a process that the supervisor lets go on from this state."""
+    process, stdin = Lifeline(), os.memfd_create("state")
+    os.write(stdin, state)
+    ends[0].send(GO)
     try:
-        process.connect_to_supervisor(end.detach(), stdin=reading)
+        process.connect_to_supervisor(ends[1].detach(), stdin=stdin)
     finally:
-        os.close(reading)
+        os.close(stdin)
     return process
 
 
@@ -114,7 +114,7 @@ def test_a_supervised_loop_sends_a_heartbeat_each_turn_up_to_the_expected_rate(
     supervisor: tuple[socket.socket, socket.socket], manager: tuple[socket.socket, str]
 ) -> None:
     """It has no other watchdog: the service manager watches the supervisor."""
-    process = supervised(supervisor[1])
+    process = supervised(supervisor)
     process.connect({"NOTIFY_SOCKET": manager[1], "WATCHDOG_USEC": "1000"})
     for now_us in range(1_000_000, 1_000_001 + 2 * HEARTBEAT_PERIOD_US, 10_000):
         process.beat(now_us)
@@ -130,7 +130,7 @@ def test_a_supervised_loop_sends_a_heartbeat_each_turn_up_to_the_expected_rate(
 def test_a_receiver_that_is_dead_or_does_not_read_blocks_no_process(
     supervisor: tuple[socket.socket, socket.socket], dead: bool
 ) -> None:
-    process = supervised(supervisor[1])
+    process = supervised(supervisor)
     if dead:
         supervisor[0].close()
     for k in range(2000):
@@ -138,19 +138,19 @@ def test_a_receiver_that_is_dead_or_does_not_read_blocks_no_process(
     assert dead or 0 < len(received(supervisor[0])) < 2000
 
 
-@pytest.mark.parametrize("state", [b"state", b""])
+@pytest.mark.parametrize("state", [bytes(2**21), b""])
 def test_a_restarted_process_reads_its_restored_state(
     supervisor: tuple[socket.socket, socket.socket], state: bytes
 ) -> None:
-    assert supervised(supervisor[1], STATE_LENGTH.pack(len(state)) + state).state == state
+    assert supervised(supervisor, state).state == state
 
 
-@pytest.mark.parametrize("given", [STATE_LENGTH.pack(100) + b"half", b"\0", b""])
 def test_a_process_whose_supervisor_is_dead_exits_before_it_starts(
-    supervisor: tuple[socket.socket, socket.socket], given: bytes
+    supervisor: tuple[socket.socket, socket.socket],
 ) -> None:
+    supervisor[0].close()
     with pytest.raises(SystemExit):
-        supervised(supervisor[1], given)
+        Lifeline().connect_to_supervisor(supervisor[1].detach())
 
 
 @pytest.mark.timeout(300)

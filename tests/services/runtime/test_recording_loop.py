@@ -13,6 +13,7 @@ from typing import Any
 
 import msgpack
 import pytest
+from msgspec.structs import replace
 
 from ltv_mpc.messages import (
     Clock,
@@ -201,6 +202,17 @@ def test_a_late_recorder_counts_no_loss_and_reports_what_cannot_be_replayed(tmp_
     record(tmp_path / "run.mcap", free_port, say, start_ns=None, said=said.append)
     assert said.count(BEGAN_BEFORE.format("controller")) == 1
     assert said[-1].endswith("messages recorded, lost: 1 on sensor/depth")
+
+
+def test_what_another_or_an_unknown_name_says_it_has_published_is_no_loss(tmp_path: Path, free_port: int) -> None:
+    said: list[str] = []
+
+    def say(out: Outbox, _: object) -> None:
+        out.publish(running_clock(monotonic_us(), epoch=EPOCH))
+        out.publish(replace(status("sensors"), finished=True, published=50))  # on the key of the plant
+
+    record(tmp_path / "run.mcap", free_port, say, said=said.append)
+    assert said[-1].endswith("none lost")
 
 
 class Watched(Lifeline):

@@ -105,7 +105,7 @@ def test_a_child_has_its_own_exit_code_and_log(
     crew: ChildProcesses, forked: bool, task: str, code: int | str, exit_code: int, last: str
 ) -> None:
     if not forked:
-        crew.forks._end()
+        crew.forks._end(crew.forks._servers[0])
     child = started(crew, "plant", task, code)
 
     def ended() -> bool:
@@ -122,7 +122,7 @@ def test_a_child_belongs_to_the_supervisor_and_its_group_is_that_of_the_cleanup(
     crew: ChildProcesses, cleanup: OrphanCleanup, forked: bool
 ) -> None:
     if not forked:
-        crew.forks._end()
+        crew.forks._end(crew.forks._servers[0])
     child = started(crew, "plant", "sleeps")
     assert stat(child.pid)[1:3] == [str(os.getpid()), str(cleanup.group)]
     assert Path(f"/proc/{child.pid}/comm").read_text() == "ltv-plant\n"
@@ -151,12 +151,29 @@ def test_a_fork_server_that_fails_kills_no_child_and_is_replaced(crew: ChildProc
     until(lambda: not {first, spawned} & children_of(os.getpid()).keys())
 
 
+@pytest.mark.parametrize("number", [signal.SIGSTOP, signal.SIGKILL])
+def test_its_spare_forks_in_its_place_and_makes_another_spare(crew: ChildProcesses, number: signal.Signals) -> None:
+    """The children of both are adopted, in the group of the cleanup."""
+    for _ in range(2):
+        crew.forks.load()
+        first, spare = (server.pid for server in crew.forks._servers)
+        os.kill(first, number)
+        plant = started(crew, "plant", "sleeps")
+        assert crew.forks.pid == spare
+        assert crew.forks.is_loaded()
+        assert "forkserver.main()" in children_of(os.getpid())[plant.pid]
+        assert stat(plant.pid)[1] == str(os.getpid())
+        assert first not in children_of(os.getpid())
+        plant.kill()
+
+
 def test_what_a_slow_fork_server_forks_too_late_ends_and_takes_nothing_from_the_other_child(
     crew: ChildProcesses, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     late: list[int | None] = []
-    reply = crew.forks._reply
-    monkeypatch.setattr(crew.forks, "_reply", lambda timeout_s: late.append(reply(10.0)) if timeout_s else reply(0.0))
+    (server,) = crew.forks._servers
+    reply = server.reply
+    monkeypatch.setattr(server, "reply", lambda timeout_s: late.append(reply(10.0)) if timeout_s else reply(0.0))
     child = started(crew, "plant", "sleeps")
     assert late != [child.pid]
     until(lambda: not alive(late[0] or 0))

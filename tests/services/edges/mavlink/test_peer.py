@@ -74,6 +74,31 @@ def test_the_link_follows_an_autopilot_that_was_silent_and_at_once_one_that_sign
         assert edge.autopilot.channel == channel
 
 
+def test_a_stranger_that_was_first_and_only_sends_loses_the_link_to_the_autopilot_that_answers() -> None:
+    edge, autopilot, stranger = edge_of(), Codec(1, component=1), Codec(1, component=1)
+
+    def answer(asked: Outgoing) -> bytes:
+        request = Codec(1).decode(asked.payload)
+        return autopilot.encode(autopilot.make.timesync_encode(12345, request.ts1))
+
+    def asked(at_s: int) -> dict[str, Outgoing]:
+        sent = [one for one in edge.step(at_s * SECOND_US) if isinstance(one, Outgoing)]
+        return {one.channel: one for one in sent if Codec(1).decode(one.payload).get_type() == "TIMESYNC"}
+
+    blind = autopilot.encode(autopilot.make.timesync_encode(12345, 1))
+    for sender, frame in (("stranger:1", heartbeat(stranger)), ("a:1", heartbeat(autopilot)), ("a:1", blind)):
+        edge.receive(Received(sender, frame, b"", 2 * SECOND_US))
+    assert edge.autopilot.channel == "stranger:1"
+    assert set(asked(2)) == set(asked(3)) == {"stranger:1"}
+    requests = asked(4)
+    assert set(requests) == {"stranger:1", "a:1"}
+    edge.receive(Received("a:1", answer(requests["a:1"]), b"", 4 * SECOND_US))
+    assert edge.autopilot.channel == "a:1"
+    (request,) = asked(5).values()
+    edge.receive(Received("stranger:1", answer(request), b"", 5 * SECOND_US))
+    assert edge.autopilot.channel == "a:1"
+
+
 def test_a_frame_that_is_refused_does_not_move_the_link() -> None:
     edge, autopilot = edge_of(), Codec(1, component=1)
     edge.receive(Received("a:1", heartbeat(autopilot), b"", 0))
