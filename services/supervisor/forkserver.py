@@ -34,7 +34,7 @@ import time
 import traceback
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NoReturn
 
 import msgspec
 
@@ -59,13 +59,6 @@ ADOPTION_TIMEOUT_S = 2.0  # a child waits at most this long for its new parent, 
 
 
 # --- the supervisor's end --------------------------------------------------------------------------------------------
-
-
-class Child(NamedTuple):
-    """Child process of the supervisor, and the supervisor's end of its lifeline."""
-
-    pid: int
-    heartbeats: int
 
 
 class Server:
@@ -154,8 +147,11 @@ class ForkServer:
         self._loaded = self._loaded or (self.pid != 0 and self._servers[0].reply(0.0) == LOADED)
         return self._loaded
 
-    def start(self, module: str, config: Path, log: Path, state: bytes = b"") -> Child:
-        """Start a child: forked by the server, or by its spare, or spawned if none has loaded, or replies in time."""
+    def start(self, module: str, config: Path, log: Path, state: bytes = b"") -> tuple[int, int]:
+        """Start a child: forked by the server, or by its spare, or spawned if none has loaded, or replies in time.
+
+        Return its pid and the supervisor's end of its lifeline.
+        """
         stdin = os.memfd_create("state")
         os.write(stdin, state)
         heartbeats, lifeline = (end.detach() for end in socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET))
@@ -174,7 +170,7 @@ class ForkServer:
         if pid is not None:
             with contextlib.suppress(BrokenPipeError):  # the child is already dead, which is noticed elsewhere
                 os.write(heartbeats, GO)
-            return Child(pid, heartbeats)
+            return pid, heartbeats
         os.close(heartbeats)  # a child that the server has forked too late ends at the end of its lifeline
         self._end(self._servers[0])
         return self.start(module, config, log, state)  # without that server
