@@ -61,9 +61,10 @@ Config = settings.Controller
 
 def main(config: Config) -> int:
     """Run the controller node until it is stopped. Returns the exit code."""
-    vehicle, reference = Vehicle.load(config.vehicle), references.load(config.reference)
+    notes: list[str] = []
+    vehicle, reference = Vehicle.load(config.vehicle), references.load(config.reference, notes)
     fence_file, soundings, arms_within_s = config.fence or "", config.bathymetry or "", config.arms_within_s
-    fence = fence_for(vehicle, reference, fence_file)
+    fence = fence_for(vehicle, reference, fence_file, notes)
     control, bus = config.resolved(), config.bus
     bottom = bathymetry_for(reference, control.limits, soundings)
     metrics, console = prometheus.Metrics(), Console(ControllerNode.name, as_json=config.log_json)
@@ -99,6 +100,7 @@ def main(config: Config) -> int:
 
         for text in (
             *announcement(bus, control),
+            *notes,
             *reference.notes(vehicle),
             *([TOO_LARGE] if published is None else []),
         ):
