@@ -26,9 +26,9 @@ from services.run.run_config import Override, resolve
 from services.tools import lockstep_run
 from services.tools.profile import problems
 from services.tools.profile import run as latency
-from services.tools.profile.measure import STAGES, Candidate, Piqp, Samples, SolverByName, measure
+from services.tools.profile.measure import STAGES, Candidate, Samples, measure, piqp_native, solver_by_name
 
-OSQP, PIQP = SolverByName("osqp"), Piqp()
+OSQP, PIQP = solver_by_name("osqp"), piqp_native()
 
 
 def measured(episodes: list[problems.Episode], *candidates: Candidate) -> list[Samples]:
@@ -138,7 +138,7 @@ def test_every_candidate_has_the_same_problem_in_an_order_that_changes(monkeypat
 def test_a_fast_wrong_answer_shows() -> None:
     episode = problems.simulated(6, 20, seed=3)[0]
     # OSQP begins at the solution, and has it whatever it is asked for
-    tight, wrong = measured([episode], Piqp(1e-8), Piqp(1e-1))
+    tight, wrong = measured([episode], piqp_native(1e-8), piqp_native(1e-1))
     assert np.median(tight.thrust_error_N) < 1e-3
     assert np.median(wrong.thrust_error_N) > 100 * np.median(tight.thrust_error_N)
 
@@ -147,7 +147,7 @@ def test_limits_of_the_motion_are_part_of_the_problem_for_all() -> None:
     episode = problems.simulated(6, 20, seed=3)[0]
     limits = MotionLimits.symmetric(yaw_rate_radps=0.02)
     slow = episode._replace(config=msgspec.structs.replace(episode.config, limits=limits, tolerance=1e-7))
-    found = measured([slow], OSQP, PIQP, SolverByName("riccati"))
+    found = measured([slow], OSQP, PIQP, solver_by_name("riccati"))
     assert max(np.median(of.thrust_error_N) for of in found) < 1e-3
 
 
