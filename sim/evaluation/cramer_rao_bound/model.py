@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import expm
 
+from ltv_mpc.currents import grid_depths
 from ltv_mpc.frames import earth_rate, gravity, rotation, skew
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.sensor_config import SensorConfig
@@ -101,7 +102,8 @@ class ErrorModel:
         """
         self._sensor_config, self._config, self._calibration_s = sensor_config, config, calibration_s
         self._earth = earth_rate(sensor_config.latitude_rad) if sensor_config.imu.senses_earth_rate else np.zeros(3)
-        self.nodes = math.ceil(config.deepest_m / config.cell_m - 1e-9) + 1
+        self._depth_m = grid_depths(config.deepest_m, config.cell_m)
+        self.nodes = len(self._depth_m)
         self.size = WATER + 2 * self.nodes
         imu, adcp = sensor_config.imu, sensor_config.adcp
         self._sd = np.zeros(self.size)
@@ -136,7 +138,7 @@ class ErrorModel:
         i = np.arange(9)
         J[i, i] = _ANYWHERE
         J[5, 5] = 1.0 / HEAVE_SD_MPS**2
-        z, c = self._config.cell_m * np.arange(self.nodes), self._config
+        z, c = self._depth_m, self._config
         P = c.current_mean_sd_mps**2 + c.current_sd_mps**2 * np.exp(
             -np.abs(np.subtract.outer(z, z)) / c.current_correlation_length_m
         )
