@@ -28,7 +28,7 @@ import numpy as np
 from ltv_mpc import so3
 from ltv_mpc.frames import rotation, rotation_exp
 from ltv_mpc.jit import jit
-from ltv_mpc.localisation.sensors.adcp import Adcp
+from ltv_mpc.localisation.sensors.adcp import Adcp, beam_directions
 from ltv_mpc.messages import AdcpPing, Array, Triple
 from sim.random_streams import Stream, generator
 from sim.sensors.simulated import outliers
@@ -49,7 +49,7 @@ class Instrument:
         self.mounting: Array = self.misalignment @ rotation(*settings.mounting_rad)  # M
         self.beam_bias_mps: Array = settings.beam_bias_sd_mps * draws.standard_normal(4)
         self.near_bias_mps: Array = settings.near_bias_sd_mps * draws.standard_normal(4)
-        self.beams: Array = beams(settings.beam_angle_rad) @ self.mounting.T  # (4, 3), body
+        self.beams: Array = beam_directions(settings.beam_angle_rad) @ self.mounting.T  # (4, 3), body
 
 
 class Transducer(NamedTuple):
@@ -98,12 +98,6 @@ class Profiler:
         velocity[silent] = np.nan
         velocity[:, self.ranges_m > self._bottom_m - now.point_m(settings.lever_arm_m)[2]] = np.nan
         return [AdcpPing(t_ns=now.t_ns, range_m=self.ranges_m, beam_velocity_mps=velocity)]
-
-
-def beams(angle_rad: float) -> Array:
-    """Return unit vectors ahead, astern, to starboard, to port, each ``angle_rad`` off the vertical, (4, 3)."""
-    s, c = math.sin(angle_rad), math.cos(angle_rad)
-    return np.array([[s, 0.0, c], [-s, 0.0, c], [0.0, s, c], [0.0, -s, c]])
 
 
 @jit

@@ -24,7 +24,7 @@ from ltv_mpc.currents import grid_depths
 from ltv_mpc.frames import earth_rate, gravity, rotation, skew
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.sensor_config import SensorConfig
-from ltv_mpc.localisation.sensors.adcp import Adcp
+from ltv_mpc.localisation.sensors.adcp import beam_directions
 from ltv_mpc.messages import Array
 
 POSITION, VELOCITY, ATTITUDE = slice(0, 3), slice(3, 6), slice(6, 9)
@@ -123,7 +123,7 @@ class ErrorModel:
             self.free[NAMES[name]] = False
         if not self.free[2]:
             self.free[[EPOCH.stop - 1, START.stop - 1]] = False
-        self._beams = _beams(adcp)
+        self._beams = beam_directions(adcp.beam_angle_rad) @ rotation(*adcp.mounting_rad).T  # M e_k
         self._range = adcp.blanking_m + adcp.cell_m * (
             0.5 + np.arange(math.floor((adcp.range_m - adcp.blanking_m) / adcp.cell_m + 1e-9))
         )
@@ -278,11 +278,3 @@ class ErrorModel:
                 h[i, first + 1] = u[axis] * share[:, 0]
             blocks.append(h)
         return np.vstack(blocks) * math.sqrt(self._beam_weight)
-
-
-def _beams(adcp: Adcp) -> Array:
-    """Return the nominal beam directions M e_k, (4, 3): ahead, astern, starboard, port."""
-    away, down = math.sin(adcp.beam_angle_rad), math.cos(adcp.beam_angle_rad)
-    e = np.array([[away, 0, down], [-away, 0, down], [0, away, down], [0, -away, down]])
-    beams: Array = e @ rotation(*adcp.mounting_rad).T
-    return beams
