@@ -73,8 +73,7 @@ class Profiler:
         """
         settings = self._settings = instrument.settings
         self._water, self._bottom_m = water, math.inf if bottom_m is None else bottom_m
-        cells = math.floor((settings.range_m - settings.blanking_m) / settings.cell_m + 1e-9)
-        self.ranges_m: Array = settings.blanking_m + (np.arange(cells, dtype=np.float64) + 0.5) * settings.cell_m
+        self.ranges_m = settings.cell_ranges_m
         self._draws = generator(seed, Stream.ADCP_PINGS)
         self.mounting = instrument.mounting
         self.beam_bias_mps, self.near_bias_mps = instrument.beam_bias_mps, instrument.near_bias_mps

@@ -124,9 +124,6 @@ class ErrorModel:
         if not self.free[2]:
             self.free[[EPOCH.stop - 1, START.stop - 1]] = False
         self._beams = beam_directions(adcp.beam_angle_rad) @ rotation(*adcp.mounting_rad).T  # M e_k
-        self._range = adcp.blanking_m + adcp.cell_m * (
-            0.5 + np.arange(math.floor((adcp.range_m - adcp.blanking_m) / adcp.cell_m + 1e-9))
-        )
         # A lost beam or a recognised outlier has no information: the information of a ping is reduced by their share.
         self._beam_weight = (1.0 - adcp.missing_share) * (1.0 - adcp.outlier_share) / adcp.beam_noise_sd_mps**2
 
@@ -247,8 +244,8 @@ class ErrorModel:
         The cell of beam k at range r measures  u . (c(z) - v) + bias,  u = R M e_k,  z = p_d + [R (l + r M e_k)]_d.
         The effect of the angular rate at the lever arm is left out: 0.1 mm/s for a mounting error of 0.3 deg.
         """
-        adcp, cell, r = self._sensor_config.adcp, self._config.cell_m, self._range
-        lever = np.array(adcp.lever_arm_m)
+        adcp, cell = self._sensor_config.adcp, self._config.cell_m
+        lever, r = np.array(adcp.lever_arm_m), adcp.cell_ranges_m
         blocks = []
         for k, b in enumerate(self._beams):
             u = now.R @ b
