@@ -460,7 +460,7 @@ class Controller:
                 fit.update(estimate)
             estimate = self.observer.correct(estimate, self._prediction, self.sent_commands, learns=check.learns)
             self._prediction.coefficients[:] = self.observer.coefficients
-            self._lateral.set_coefficients(self._prediction.coefficients)
+            self._lateral.set_model(self._prediction.coefficients, self.observer.held_arm)
             bounded, in_waves = self.observer.is_bounded, self.observer.in_waves
             self.vehicle_file_check.update(estimate.t_ns, fit, bounded=bounded, in_waves=in_waves)
         own = self._estimates.health(now_ns)
