@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import msgspec
+import numpy as np
 
 from ltv_mpc import config
 from ltv_mpc.errors import ConfigError
@@ -31,24 +32,11 @@ RETURN_POINT, KEEP_IN, KEEP_OUT, CIRCLE_IN, CIRCLE_OUT = 5000, 5001, 5002, 5003,
 class Area(NamedTuple):
     """Polygon, or circle around its only position; positions are latitude and longitude (degrees)."""
 
+    where: str  # names it in errors
     inside: bool  # the vehicle stays in it
     group: int
-    positions: list[Sequence[float]]
-    radius_m: float = 0.0
-
-    @classmethod
-    def circle(cls, inside: bool, group: int, centre: Sequence[float], radius_m: float, where: tuple[str, str]) -> Area:
-        """Return a circle. Raises ``ConfigError`` if its radius is not that of one.
-
-        Parameters
-        ----------
-        inside, group, radius_m : of the area.
-        centre : latitude and longitude (degrees).
-        where : names of file and field in errors.
-        """
-        if not 0.0 < radius_m <= MAX_RADIUS_M:
-            raise ConfigError(*where, f"must be above 0 and <= {MAX_RADIUS_M:g} m", value=radius_m)
-        return cls(inside, group, [centre], radius_m)
+    positions: Sequence[Sequence[float]]
+    radius_m: float | None = None
 
 
 def read(path: Path, source: str, notes: list[str], origin: Origin | None) -> dict[str, Any] | None:
@@ -75,7 +63,7 @@ def read(path: Path, source: str, notes: list[str], origin: Origin | None) -> di
             plan = config.parse_json(text, source)
             latitude, longitude = map(float, plan["mission"]["plannedHomePosition"][:2])
             origin = Origin(latitude_deg=latitude, longitude_deg=longitude)
-            areas = _of_plan(plan, source)
+            areas = _of_plan(plan)
             mission, rally = plan["mission"].get("items") or (), (plan.get("rallyPoints") or {}).get("points") or ()
             note_unused(source, notes, items_of_its_mission=len(mission), rally_points=len(rally))
         else:
@@ -130,30 +118,35 @@ def zones_of(items: Iterable[Item], source: str) -> dict[str, Any]:
 
 def _zones(areas: Iterable[Area], source: str) -> dict[str, Any]:
     """Return the tables of keep-in and keep-out zones."""
+    import shapely  # as long as the start of a process, and rarely needed
+
     table: dict[str, Any] = {}
-    groups: dict[tuple[int, int], list[list[Ring]]] = {}
+    groups: dict[tuple[int, int], list[Any]] = {}
     for number, area in enumerate(areas):
-        ring = [_place(position) for position in area.positions]
+        places = [_place(position) for position in area.positions]
+        if area.radius_m is not None and not 0.0 < area.radius_m <= MAX_RADIUS_M:
+            problem = f"must be above 0 and <= {MAX_RADIUS_M:g} m"
+            raise ConfigError(source, f"{area.where} radius", problem, value=area.radius_m)
         if area.inside:
-            group = (area.group, 0 if area.group else number)
-            groups.setdefault(group, []).append([_polygon_in(area) if area.radius_m else ring])
-        elif area.radius_m:
-            table.setdefault("keep_out_disc", []).append({"centre": ring[0], "radius_m": area.radius_m})
+            ring = places if area.radius_m is None else _corners(places[0], area.radius_m)
+            polygon = shapely.Polygon([(at["longitude_deg"], at["latitude_deg"]) for at in ring])
+            groups.setdefault((area.group, 0 if area.group else number), []).append(polygon)
+        elif area.radius_m is None:
+            table.setdefault("keep_out", []).append({"vertices": places})
         else:
-            table.setdefault("keep_out", []).append({"vertices": ring})
+            table.setdefault("keep_out_disc", []).append({"centre": places[0], "radius_m": area.radius_m})
     if groups:
         for name, rings in zones_around([*groups.values()], "inclusion zones", source).items():
             table.setdefault(name, []).extend({"vertices": ring} for ring in rings)
     return table
 
 
-def _of_plan(plan: Any, source: str) -> Iterator[Area]:
-    fence = plan["geoFence"]
-    for polygon in fence["polygons"]:
-        yield Area(bool(polygon["inclusion"]), 0, polygon["polygon"])
-    for k, circle in enumerate(fence["circles"]):
-        centre, radius_m = circle["circle"]["center"], float(circle["circle"]["radius"])
-        yield Area.circle(bool(circle["inclusion"]), 0, centre, radius_m, (source, f"circles[{k}] radius"))
+def _of_plan(plan: Any) -> Iterator[Area]:
+    for k, polygon in enumerate(plan["geoFence"]["polygons"]):
+        yield Area(f"polygons[{k}]", bool(polygon["inclusion"]), 0, polygon["polygon"])
+    for k, of in enumerate(plan["geoFence"]["circles"]):
+        circle = of["circle"]
+        yield Area(f"circles[{k}]", bool(of["inclusion"]), 0, [circle["center"]], float(circle["radius"]))
 
 
 def _of_items(items: Iterable[Item], source: str) -> Iterator[Area]:
@@ -163,17 +156,18 @@ def _of_items(items: Iterable[Item], source: str) -> Iterator[Area]:
         if ring and item.command != ring[0].command:
             problem = f"the polygon before it has {len(ring)} of {ring[0].parameters[0]:g} vertices"
             raise ConfigError(source, f"item {item.number}", problem)
+        where, place = f"item {item.number}", (item.latitude_deg, item.longitude_deg)
         if item.command in (KEEP_IN, KEEP_OUT):
             ring.append(item)
             if len(ring) == size:
-                yield Area(item.command == KEEP_IN, int(group), [(one.latitude_deg, one.longitude_deg) for one in ring])
+                corners = [(one.latitude_deg, one.longitude_deg) for one in ring]
+                yield Area(where, item.command == KEEP_IN, int(group), corners)
                 ring = []
         elif item.command in (CIRCLE_IN, CIRCLE_OUT):
-            centre, where = (item.latitude_deg, item.longitude_deg), (source, f"item {item.number} radius")
-            yield Area.circle(item.command == CIRCLE_IN, int(group), centre, size, where)
+            yield Area(where, item.command == CIRCLE_IN, int(group), [place], size)
         elif item.command != RETURN_POINT:  # of a plane's fence: the vehicle keeps inside the zones instead
-            name = command_name(item.command)
-            raise ConfigError(source, f"item {item.number} {name} ({item.command})", "is no part of a fence")
+            name = f"{where} {command_name(item.command)} ({item.command})"
+            raise ConfigError(source, name, "is no part of a fence")
     if ring:
         raise ConfigError(source, "", f"the last polygon has {len(ring)} of {ring[0].parameters[0]:g} vertices")
 
@@ -182,7 +176,8 @@ def _place(position: Sequence[float]) -> dict[str, float]:
     return {"latitude_deg": float(position[0]), "longitude_deg": float(position[1])}
 
 
-def _polygon_in(circle: Area) -> Ring:
-    centre = Origin(latitude_deg=circle.positions[0][0], longitude_deg=circle.positions[0][1])
-    angles = [2.0 * math.pi * k / CORNERS for k in range(CORNERS)]
-    return [_place(degrees(circle.radius_m * math.cos(a), circle.radius_m * math.sin(a), centre)) for a in angles]
+def _corners(centre: dict[str, float], radius_m: float) -> Ring:
+    """Return the corners of the polygon in a circle."""
+    angles = 2.0 * math.pi * np.arange(CORNERS) / CORNERS
+    places = radius_m * np.column_stack([np.cos(angles), np.sin(angles)])
+    return [_place(degrees(north, east, Origin(**centre))) for north, east in places.tolist()]
