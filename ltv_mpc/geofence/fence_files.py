@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
+import shapely
 
 from ltv_mpc import config
 from ltv_mpc.errors import ConfigError
@@ -118,8 +119,6 @@ def zones_of(items: Iterable[Item], source: str) -> dict[str, Any]:
 
 def _zones(areas: Iterable[Area], source: str) -> dict[str, Any]:
     """Return the tables of keep-in and keep-out zones."""
-    import shapely  # as long as the start of a process, and rarely needed
-
     table: dict[str, Any] = {}
     groups: dict[tuple[int, int], list[Any]] = {}
     for number, area in enumerate(areas):

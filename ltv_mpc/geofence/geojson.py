@@ -20,6 +20,8 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple, TypeAlias
 
 import msgspec
+import shapely
+from shapely.affinity import scale
 
 from ltv_mpc import config
 from ltv_mpc.errors import ConfigError
@@ -104,8 +106,6 @@ def features_of(text: str | bytes, source: str, notes: list[str]) -> tuple[dict[
     source : name of the text in errors.
     notes : receives a sentence about coordinates that are not exactly those of WGS 84.
     """
-    import shapely  # as long as the start of a process, and rarely needed
-
     content = config.parse_json(text, source)
     of, features = [content], []
     if content.get("type") == "FeatureCollection":
@@ -182,8 +182,6 @@ def with_features(error: ConfigError, numbers: Numbers) -> ConfigError:
 
 def _entries(feature: Feature, source: str) -> dict[str, list[dict[str, Any]]]:
     """Return the entries of one feature by their table."""
-    import shapely
-
     zone, kind, at = feature.properties.get("zone"), feature.shape.geom_type, f"{feature.where}.geometry"
     if not isinstance(zone, str) or zone not in GEOMETRY:
         problem = f"must be one of {', '.join(GEOMETRY)}"
@@ -217,9 +215,6 @@ def zones_around(groups: list[list[Any]], where: str, source: str) -> dict[str, 
         for the union of its polygons.
     where, source : name of the polygons and of the text in errors.
     """
-    import shapely
-    from shapely.affinity import scale
-
     if len(groups) == len(groups[0]) == 1 and not groups[0][0].interiors:
         return {"keep_in": [places_of(groups[0][0].exterior)[:-1]]}
     areas = []
@@ -247,8 +242,6 @@ def zones_around(groups: list[list[Any]], where: str, source: str) -> dict[str, 
 
 def _polygons(geometry: Any) -> list[Any]:
     """Return the polygons of a geometry, which may be empty or have lines and points beside them."""
-    import shapely
-
     return [part for part in shapely.get_parts(geometry) if part.area > 0.0]
 
 
@@ -259,8 +252,6 @@ def places_of(shape: Any) -> Ring:
     ----------
     shape : a ring repeats its first position.
     """
-    import shapely
-
     return [{"longitude_deg": on, "latitude_deg": at} for on, at in shapely.get_coordinates(shape).tolist()]
 
 
@@ -278,14 +269,10 @@ def text(table: Mapping[str, Any], origin: Origin | None, source: str) -> str:
     features = []
     for zone, kind in GEOMETRY.items():
         for entry in table.get(zone, ()):
-            properties = {key: value for key, value in entry.items() if key not in ("vertices", "centre")}
-            if kind == "Point":
-                coordinates: Any = _position(entry["centre"], origin)
-            else:
-                ring = [_position(place, origin) for place in entry["vertices"]]
-                coordinates = [[*ring, ring[0]]]
-            geometry = {"type": kind, "coordinates": coordinates}
-            features.append({"type": "Feature", "properties": {"zone": zone, **properties}, "geometry": geometry})
+            ring = [_position(place, origin) for place in entry.get("vertices") or [entry["centre"]]]
+            geometry = {"type": kind, "coordinates": ring[0] if kind == "Point" else [[*ring, ring[0]]]}
+            properties = {"zone": zone} | {key: entry[key] for key in PROPERTIES if key in entry}
+            features.append({"type": "Feature", "properties": properties, "geometry": geometry})
     content = {"type": "FeatureCollection", "features": features}
     content |= {key: table[key] for key in ("margin_m", "origin") if key in table}
     return msgspec.json.format(msgspec.json.encode(content), indent=1).decode() + "\n"
