@@ -23,7 +23,6 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import solveh_banded
 
 from ltv_mpc.messages import Array
 
@@ -136,6 +135,8 @@ def _curved(p: Array, corner_m: float) -> tuple[Array, Numbers, float]:
         banded[1, end] += smooth * (2.0 - last[end])
         right[end] += (smooth * (3.0 - last[end]))[:, None] * legs
     banded[1, banded[1] == 0.0] = 1.0
+    from scipy.linalg import solveh_banded  # 14 MB, for sampled curves alone
+
     slope = solveh_banded(banded, right)
     parts = np.where(bent, np.ceil(np.sqrt(4.0 * bulge_m / ACCURACY_M)), 1.0).astype(np.int64)
     number = np.concatenate([[0], np.cumsum(parts)])
@@ -274,6 +275,8 @@ def _least_squares(p: Array, kept: Numbers, ends: Array) -> tuple[Array, Array]:
     kept : (V,) numbers of the points at the ends.
     ends : (V, 3) ends by which the places (leg and share) are found.
     """
+    from scipy.linalg import solveh_banded  # 14 MB, for paths of many points alone
+
     legs = len(kept) - 1
     leg = np.clip(np.searchsorted(kept, np.arange(len(p)), side="right") - 1, 0, legs - 1)
     share, _ = _places(p, ends[leg], np.diff(ends, axis=0)[leg])

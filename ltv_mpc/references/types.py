@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Annotated, TypeAlias
+from typing import Annotated, ClassVar, TypeAlias
 
 import numpy as np
 from msgspec import Meta
@@ -126,6 +126,8 @@ class Point(Station, frozen=True, kw_only=True, tag="point"):
 
 class Hold(Station, frozen=True, kw_only=True, tag="hold"):
     """Vertical line through the estimated position of the vehicle at the start: "here"."""
+
+    in_places: ClassVar[bool] = False
 
     @classmethod
     def at_depth_of(cls, estimate: Estimate | None) -> Hold:

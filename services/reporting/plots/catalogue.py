@@ -8,6 +8,10 @@ from services.reporting.plots.delays import STAGES as ROWS_OF_STAGES
 from services.reporting.plots.description import Axis, Group, Level, Plot, Series, Style
 from services.reporting.plots.vehicle_from_above import CURRENT_MPS
 
+SHIFTED = (
+    "Where the reference begins at the vehicle, the true position is shifted to start at the estimate at t = 0, and "
+    "its error is drift since then; where the reference is given in places, nothing is shifted."
+)
 NO_TIMES = "no times; none are measured in lock step"
 
 
@@ -32,7 +36,8 @@ TRACK = Plot(
     drifts=True,
     follow=("hull", "target", "horizon", "port_arrow", "starboard_arrow", "current_arrow"),
     note=(
-        "The true track is shifted to start at the estimate at t = 0, so the error of the satellite fix is removed. "
+        "Where the reference begins at the vehicle, the true track is shifted to start at the estimate at t = 0, so "
+        "the error of the satellite fix is removed. "
         "An arrow of thrust as long as the hull is the full thrust. Kept free: no centre of the vehicle within "
         "hull and margin of a zone or obstacle. Round a zone the line has the stated margin; the controller keeps 3 "
         "standard deviations of the position if they are more. Round an obstacle the lines have 3 standard deviations "
@@ -71,7 +76,7 @@ def _over_time(axis: str, colour: str) -> Plot:
         y=Axis(f"{axis} (m)", min_span=0.1),
         group=Group.LINE,
         drifts=True,
-        note="The true position is shifted to start at the estimate at t = 0.",
+        note=SHIFTED,
         series=(
             Series("reference", "reference", "t_s", name, palette.REFERENCE, Style.DOTTED),
             Series("true", "truth", "t_s", name, palette.TRUTH, compared=True),
@@ -114,6 +119,7 @@ TRACKING = Plot(
     name="tracking",
     title="Distance from the reference",
     y=Axis("distance (m)", min_span=0.1),
+    note=SHIFTED,
     group=Group.LINE,
     drifts=True,
     series=(

@@ -282,6 +282,14 @@ def test_the_time_base_is_that_of_the_answers_to_its_own_requests() -> None:
     assert edge.refused == 0
 
 
+def test_a_new_autopilot_is_asked_for_its_messages_at_once() -> None:
+    edge, autopilot = MavlinkEdge(1, Settings(vehicle=vehicle()), codec(255, 191)), codec()
+    list(edge.step(1_000_000))
+    edge.receive(Received("", autopilot.encode(autopilot.make.heartbeat_encode(11, 3, 0, 0, 4)), b"", 1_010_000))
+    sent = [codec().decode(frame.payload) for frame in edge.step(1_050_000) if isinstance(frame, Outgoing)]
+    assert {30, 32} <= {message.param1 for message in sent if message.get_type() == "COMMAND_LONG"}
+
+
 def test_late_and_repeated_samples_are_left_out_and_a_restart_is_not() -> None:
     navigation = Navigation(Accuracy(), dives=False)
     list(navigation.attitude(attitude(10_000, 0.0)))
