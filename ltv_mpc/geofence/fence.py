@@ -106,11 +106,11 @@ class Fence(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         """
         from ltv_mpc.geofence import geojson
 
-        table, numbers = geojson.parse(text, source, [] if notes is None else notes)
+        table, names = geojson.parse(text, source, [] if notes is None else notes)
         try:
             return config.parse(table, cls, source=source)
         except ConfigError as error:
-            raise geojson.with_features(error, numbers) from None
+            raise geojson.with_features(error, names) from None
 
     def save(self, path: str) -> None:
         """Write the fence: GeoJSON if the file's suffix is .geojson or .json, else TOML. Raises ``ConfigError``.

@@ -49,15 +49,15 @@ AROUND = (1.05, 1.1)
 CRS = {"CRS84": 0.0, "4326": 0.0, "4258": 1.0, "4269": 2.0}
 """Largest distance (m) between WGS 84 and coordinate reference systems that are read: itself, ETRS89 and NAD83."""
 
-Numbers: TypeAlias = dict[str, list[int]]
-"""Numbers of the features of each kind of zone, in their order."""
+Names: TypeAlias = dict[str, str]
+"""Names of features by those of zones, as ``fence.toml`` holds them: ``keep_in[0]`` or ``[keep_in.0]``."""
 
 Ring: TypeAlias = list[dict[str, float]]
 """Vertices of a ring: latitude_deg and longitude_deg."""
 
 
-def parse(content_text: str | bytes, source: str, notes: list[str]) -> tuple[dict[str, Any], Numbers]:
-    """Return the table of a fence, as ``fence.toml`` holds it, and the numbers of its features.
+def parse(content_text: str | bytes, source: str, notes: list[str]) -> tuple[dict[str, Any], Names]:
+    """Return the table of a fence, as ``fence.toml`` holds it, and the names of its features.
 
     Raises ``ConfigError``.
 
@@ -69,14 +69,15 @@ def parse(content_text: str | bytes, source: str, notes: list[str]) -> tuple[dic
     """
     content, features = features_of(content_text, source, notes)
     table: dict[str, Any] = {key: content[key] for key in ("margin_m", "origin") if key in content}
-    numbers: Numbers = {}
+    names: Names = {}
     zones = [feature for feature in features if not feature.is_reference]
     note_unused(source, notes, features_of_a_reference=len(features) - len(zones))
     for feature in zones:
         for zone, entries in _entries(feature, source).items():
-            table.setdefault(zone, []).extend(entries)
-            numbers.setdefault(zone, []).extend([feature.number] * len(entries))
-    return table, numbers
+            for i, entry in enumerate(entries, start=len(table.setdefault(zone, []))):
+                table[zone].append(entry)
+                names |= dict.fromkeys((f"{zone}[{i}]", f"[{zone}.{i}]"), feature.where)
+    return table, names
 
 
 class Feature(NamedTuple):
@@ -156,20 +157,14 @@ def check_crs(of: Any, where: str, source: str, notes: list[str]) -> None:
         notes.append(f"{source}: {where} {name} is read as WGS 84, from which it differs by up to about {off_m:g} m")
 
 
-def with_features(error: ConfigError, numbers: Numbers) -> ConfigError:
+def with_features(error: ConfigError, names: Names) -> ConfigError:
     """Return an error about the table of a fence that names the features of the GeoJSON text instead.
 
     Parameters
     ----------
-    error : names zones as ``fence.toml`` holds them, ``keep_in[0]`` or ``[keep_in.0]``.
-    numbers : as ``parse`` returns them.
+    error : names zones.
+    names : as ``parse`` returns them.
     """
-    names = {
-        written: f"features[{k}]"
-        for zone, features in numbers.items()
-        for i, k in enumerate(features)
-        for written in (f"{zone}[{i}]", f"[{zone}.{i}]")
-    }
 
     def named(text: str) -> str:
         """Return a text with the names of features."""
