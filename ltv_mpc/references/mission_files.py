@@ -185,9 +185,10 @@ def _gpx(text: str, source: str, notes: list[str]) -> Content:
     beside = len(gpx.waypoints) if paths else 0
     paths = paths or [[point] for point in gpx.waypoints]
     if len(paths) != 1:
-        kinds = [f"{len(of)} {name}" for name, of in (("routes", gpx.routes), ("tracks", gpx.tracks))]
-        kinds.append(f"{len(gpx.waypoints)} waypoints, which have no order")
-        raise ConfigError(source, "", f"must have one route or track, it has {', '.join(kinds)}")
+        found = (
+            f"{len(gpx.routes)} routes, {len(gpx.tracks)} tracks, {len(gpx.waypoints)} waypoints, which have no order"
+        )
+        raise ConfigError(source, "", f"must have one route or track, it has {found}")
     heights, times = (sum(getattr(point, of) is not None for point in paths[0]) for of in ("elevation", "time"))
     note_unused(source, notes, waypoints_beside_it=beside, elevations=heights, times=times)
     return None, _path((point.latitude, point.longitude) for point in paths[0])
