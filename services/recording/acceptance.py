@@ -19,6 +19,7 @@ from ltv_mpc.safety.input_monitor import SECOND_SOURCE, InputMonitor
 from ltv_mpc.safety.source_selector import remember
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.message_validation import SHARED, message_at
+from services.bus.roles import ANYONE, DISPLAY, ROLES
 from services.bus.sequence_check import FAR_AHEAD, MAX_FIRST, MAX_SILENCE_US, MIN_SILENCE_US, SequenceCheck
 from services.bus.topics import OPERATOR, Topic, topic_at
 from services.bus.wire import Header, WireError
@@ -28,13 +29,16 @@ from services.recording.reader import StoredMessage
 if TYPE_CHECKING:
     from ltv_mpc.safety.estimate_gate import EstimateGate
 
+NODES = frozenset(ROLES) - {DISPLAY, OPERATOR}
+"""Names whose messages count on the keys of every node: what others publish there nobody reads, lost or not."""
+
 MAX_HELD = 32
 """Plans of other controllers that are kept until the actuators follow one of them."""
 
 LATE = "late"
 """Reason of a refused message that was missing until it came: it was published, and is not lost."""
 
-MANY_SOURCES = ("*", OPERATOR)
+MANY_SOURCES = (ANYONE, OPERATOR)
 """Writers of the table that stand for several sources."""
 
 
@@ -74,7 +78,8 @@ class Acceptance:
     def count(self, topic: Topic, key: str, header: Header, received_us: int) -> str:
         """Check the order of a message and count it. Return why it is refused; empty if it is accepted."""
         (epoch, sequence), kind = (header.epoch, header.sequence), topic.message_type
-        writer = key.rpartition("/")[2] if kind is NodeStatus else topic.written_by
+        node = key.rpartition("/")[2]
+        writer = node if kind is NodeStatus else topic.written_by
         single = kind not in SHARED and writer not in MANY_SOURCES
         if single:
             active, at_us = self._writers.get(writer, (epoch, 0))
@@ -86,6 +91,8 @@ class Acceptance:
             return LATE if self.losses.fill(key, epoch, sequence) else str(error)
         if single:
             self._writers[writer] = epoch, received_us
+        if topic.written_by == ANYONE and node not in NODES:
+            return ""
         if sequence > MAX_FIRST:  # so many messages are not lost before the first one: its sender began elsewhere
             self.losses.start_at(key, epoch, sequence)
         self.losses.add(key, epoch, sequence)
