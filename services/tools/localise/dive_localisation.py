@@ -151,7 +151,8 @@ def localise(
     noise = BeamNoise(dive, parameters.min_good_share)
     track = run(dive, noise, parameters, fixes=fixes)
     ground = dead_reckon(dive)
-    error = _error(dive, ground, track, fixes)
+    after = window_end(ground, 0)
+    error = None if after is None else evaluate_track(dive, ground, track, start=0, end=after, offered_fixes=fixes)
     many = _study(ensembles, seen, parameters, fixes, progress)
     result = LocalisationResult(
         file=str(path),
@@ -225,12 +226,9 @@ def _inconsistency(track: Track, many: StudyRow | None) -> list[str]:
 
 
 def _first(ensembles: Sequence[Ensemble], start_depth_m: float | None, source: str) -> int:
-    if start_depth_m is None:
-        return 0
-    for k, ensemble in enumerate(ensembles):
-        if ensemble.depth_m >= start_depth_m:
-            return k
     deepest = max(e.depth_m for e in ensembles)
+    if start_depth_m is None or deepest >= start_depth_m:
+        return next(k for k, e in enumerate(ensembles) if start_depth_m is None or e.depth_m >= start_depth_m)
     problem = f"no ensemble of {source} is that deep: the deepest is at {deepest:.1f} m"
     raise ConfigError("option --start-depth-m", "", problem, value=start_depth_m)
 
@@ -266,11 +264,6 @@ def _track(track: Track, dive: Sequence[BeamEnsemble], number: int) -> TrackRow:
         cells_rejected=track.cells_rejected,
         nis=track.nis,
     )
-
-
-def _error(dive: Sequence[BeamEnsemble], ground: BottomTrackPath, track: Track, fixes: int) -> StartResult | None:
-    end = window_end(ground, 0)
-    return None if end is None else evaluate_track(dive, ground, track, start=0, end=end, offered_fixes=fixes)
 
 
 def _study(
@@ -326,24 +319,16 @@ def _notes(settings: Settings, dive: Sequence[BeamEnsemble], track: Track, why: 
 
 def _truth(ground: BottomTrackPath) -> Array:
     """Return bottom track's position at every ensemble, relative to the first."""
-    nowhere = np.full(2, np.nan)
-    shown = [ground.displacement(0, k) for k in range(len(ground.t_s))]
-    return np.array([nowhere if x is None else x for x in shown])
+    shown = (ground.displacement(0, k) for k in range(len(ground.t_s)))
+    return np.array([np.full(2, np.nan) if x is None else x for x in shown])
 
 
 def _table(outcome: Outcome) -> str:
     """Format track.csv; a cell is empty where bottom track is not available."""
-    track = outcome.track
+    track, depth_m = outcome.track, [ensemble.depth_m for ensemble in outcome.ensembles]
+    sigma_m = np.sqrt(np.linalg.eigvalsh(track.position_covariance)[:, -1].clip(0))
+    columns = (track.t_s, depth_m, track.position_m, sigma_m, track.velocity_mps, outcome.truth_m)
     lines = [",".join(COLUMNS)]
-    for k, ensemble in enumerate(outcome.ensembles):
-        sigma = math.sqrt(float(np.linalg.eigvalsh(track.position_covariance[k])[-1].clip(0)))
-        numbers = (
-            track.t_s[k],
-            ensemble.depth_m,
-            *track.position_m[k],
-            sigma,
-            *track.velocity_mps[k],
-            *outcome.truth_m[k],
-        )
+    for ensemble, numbers in zip(outcome.ensembles, np.column_stack(columns), strict=True):
         lines.append(",".join([str(ensemble.t_ns), *("" if math.isnan(x) else f"{x:.4f}" for x in numbers)]))
     return "\n".join(lines) + "\n"
