@@ -136,13 +136,13 @@ def _telemetry(path: Path, navigation: Navigation) -> _Rows:
 
     rows, armed, system, boot = _Rows([], [], {}), False, 0, _BootTime()
     for message in _messages(mavutil.mavlogfile(str(path))):
-        kind = message.get_type()
-        if kind == "HEARTBEAT" and message.get_srcComponent() == 1 and message.autopilot == ARDUPILOT:
-            system = system or message.get_srcSystem()
-        if message.get_srcSystem() != system:
+        kind, by = message.get_type(), message.get_srcSystem()
+        if by != (system or by):
             continue
-        if kind == "HEARTBEAT" and message.get_srcComponent() == 1:
-            armed = bool(message.base_mode & SAFETY_ARMED)
+        if kind == "HEARTBEAT" and message.get_srcComponent() == 1 and message.autopilot == ARDUPILOT:
+            system, armed = by, bool(message.base_mode & SAFETY_ARMED)
+        elif system == 0:
+            continue
         elif kind in ("ATTITUDE", "LOCAL_POSITION_NED"):
             message.time_boot_ms = boot.add(message.time_boot_ms)
             take = navigation.attitude if kind == "ATTITUDE" else navigation.position
@@ -165,10 +165,9 @@ class _BootTime:
 
     def add(self, boot_ms: int) -> int:
         """Return the time (ms) of a stamp (ms since the newest start)."""
-        ms = self._before_ms + boot_ms
-        if ms < self._newest_ms - RESTART_MS:
+        if self._before_ms + boot_ms < self._newest_ms - RESTART_MS:
             self._before_ms = self._newest_ms + RESTART_MS
-            ms = self._before_ms + boot_ms
+        ms = self._before_ms + boot_ms
         self._newest_ms = max(ms, self._newest_ms)
         return ms
 

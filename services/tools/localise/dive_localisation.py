@@ -234,35 +234,28 @@ def _first(ensembles: Sequence[Ensemble], start_depth_m: float | None, source: s
 
 
 def _instrument(settings: Settings, noise: BeamNoise) -> InstrumentRow:
+    same = ("frequency_kHz", "bins_mapped", "cells", "cell_m", "first_cell_m", "pings")
     return InstrumentRow(
-        frequency_kHz=settings.frequency_kHz,
+        **{name: getattr(settings, name) for name in same},
         beam_angle_deg=round(math.degrees(settings.beam_angle_rad), 6),
         looks="up" if settings.upward else "down",
         coordinates=settings.coordinates.name.lower(),
-        bins_mapped=settings.bins_mapped,
-        cells=settings.cells,
-        cell_m=settings.cell_m,
-        first_cell_m=settings.first_cell_m,
-        pings=settings.pings,
         beam_sd_mps=float(np.median(noise.sd_mps(settings))),
     )
 
 
 def _track(track: Track, dive: Sequence[BeamEnsemble], number: int) -> TrackRow:
     north, east = track.position_m[-1].tolist()
+    same = ("fixes", "cells_used", "cells_screened", "cells_rejected", "nis")
     return TrackRow(
+        **{name: getattr(track, name) for name in same},
         start_ensemble=number,
         start_depth_m=dive[0].depth_m,
         ensembles=len(dive),
         duration_s=float(track.t_s[-1]),
-        fixes=track.fixes,
         end_north_m=north,
         end_east_m=east,
         end_sigma_m=float(np.sqrt(np.linalg.eigvalsh(track.position_covariance[-1])[-1])),
-        cells_used=track.cells_used,
-        cells_screened=track.cells_screened,
-        cells_rejected=track.cells_rejected,
-        nis=track.nis,
     )
 
 
@@ -300,21 +293,17 @@ def _study(
 
 
 def _notes(settings: Settings, dive: Sequence[BeamEnsemble], track: Track, why: str) -> list[str]:
-    notes = [why] if why else []
-    setups = len({e.settings.setup for e in dive})
-    if setups > 1:
-        notes.append(f"the instrument changes its cells or pings: {setups} setups; the first is shown")
-    if track.fixes == 0:
-        notes.append("no fix by bottom track: the initial velocity, and so the track, is unknown")
-    if not any(np.isfinite(e.bottom_mps[:2]).all() for e in dive):
-        notes.append("no bottom track in the dive: nothing to compare the track with")
-    if settings.heading_alignment_rad or settings.heading_bias_rad:
-        notes.append(
-            "heading alignment or bias (EA, EB) is set: not applied, north is the north of the file's headings"
-        )
-    if track.cells_used == 0:
-        notes.append("no water cell could be used: the track follows the fixes only")
-    return notes
+    setups, turned = len({e.settings.setup for e in dive}), settings.heading_alignment_rad or settings.heading_bias_rad
+    tracks_bottom = any(np.isfinite(e.bottom_mps[:2]).all() for e in dive)
+    notes = {
+        why: why != "",
+        f"the instrument changes its cells or pings: {setups} setups; the first is shown": setups > 1,
+        "no fix by bottom track: the initial velocity, and so the track, is unknown": track.fixes == 0,
+        "no bottom track in the dive: nothing to compare the track with": not tracks_bottom,
+        "heading alignment or bias (EA, EB) is set: not applied, north is the north of the file's headings": turned,
+        "no water cell could be used: the track follows the fixes only": track.cells_used == 0,
+    }
+    return [note for note, holds in notes.items() if holds]
 
 
 def _truth(ground: BottomTrackPath) -> Array:
