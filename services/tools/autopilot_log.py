@@ -8,7 +8,7 @@ file's ``pwm_us`` and ``pwm_N`` make thrusts of them. While the autopilot is dis
 with arming (LOG_DISARMED = 0) if its first event is to disarm, or if it has none.
 
 Telemetry is of the first autopilot that it has. Its outputs are stamped in microseconds, which begin again after 71
-minutes, and all its stamps begin again when it is restarted: here they go on.
+minutes, and all its stamps begin again when it is restarted: here they are counted on.
 """
 
 from __future__ import annotations
@@ -158,7 +158,7 @@ def _telemetry(path: Path, navigation: Navigation) -> _Rows:
 
 
 class _BootTime:
-    """Time since the first start of an autopilot, which goes on when it starts again."""
+    """Time since the first start of an autopilot, counted on when it starts again."""
 
     def __init__(self) -> None:
         self._newest_ms = self._before_ms = 0
