@@ -12,10 +12,9 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from ltv_mpc.messages import Applied, Clock, ControllerStatus, Estimate, Message, NodeStatus, Plan
-from ltv_mpc.safety.estimate_gate import EstimateGate
 from ltv_mpc.safety.input_monitor import SECOND_SOURCE, InputMonitor
 from ltv_mpc.safety.source_selector import remember
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -26,6 +25,9 @@ from services.bus.topics import OPERATOR, Topic, topic_at
 from services.bus.wire import Header, WireError
 from services.recording.loss_accounting import LossAccounting
 from services.recording.reader import StoredMessage
+
+if TYPE_CHECKING:
+    from ltv_mpc.safety.estimate_gate import EstimateGate
 
 NODES = frozenset(ROLES) - {DISPLAY, OPERATOR}
 """Names whose messages count on the keys of every node: what others publish there nobody reads, lost or not."""
@@ -62,7 +64,11 @@ class Acceptance:
         self._order = SequenceCheck()
         self._unconfirmed: dict[tuple[str, int], tuple[int, Accepted | None]] = {}  # first ones behind a gap
         self._writers: dict[str, tuple[int, int]] = {}  # epoch and newest message (us) of each process
-        self._gate = None if vehicle is None else EstimateGate(vehicle)
+        self._gate: EstimateGate | None = None
+        if vehicle is not None:
+            from ltv_mpc.safety.estimate_gate import EstimateGate  # numba: 20 MB that a recorder does not need
+
+            self._gate = EstimateGate(vehicle)
         self._monitor = InputMonitor()
         self._commander = 0  # epoch of the controller whose plans are followed; 0: unknown
         self._held: deque[Accepted] = deque(maxlen=MAX_HELD)

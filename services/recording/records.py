@@ -6,7 +6,7 @@
 
 If its writer was killed, a file is truncated: everything complete before that place is read. The unit of loss is a
 chunk, because zstd decompresses no incomplete block, and a wrong CRC does not tell which byte of the chunk is wrong.
-Memory is bounded by the largest record and by ``MAX_CHUNK_BYTES``, whatever lengths the file claims.
+Memory is bounded by ``LARGE_BYTES`` or ``LARGE_RATIO`` times the largest record, whatever lengths the file claims.
 
 Source: https://mcap.dev/spec
 """
@@ -34,10 +34,10 @@ from ltv_mpc.config import open_file
 from ltv_mpc.errors import ConfigError
 
 MAGIC = b"\x89MCAP0\r\n"
-MAX_CHUNK_BYTES = 1 << 25
-"""Limit of a decompressed chunk. Our own chunks have 1 MiB plus one message; other programs write larger ones."""
 MAX_RATIO, FREE_BYTES = 200, 1 << 14
 """Limit of a chunk's compression, and size below which it does not hold: messages are compressed to a tenth."""
+LARGE_RATIO, LARGE_BYTES = 20, 1 << 25
+"""The same limit of a chunk above this size: ours have 1 MiB plus one message, others may put all into one chunk."""
 MAX_TABLE = 10_000
 """Number of channels and schemas of a file that are read."""
 
@@ -231,13 +231,12 @@ def _message(content: bytes) -> Message:
 def _decompressed(chunk: Chunk) -> bytes:
     """Return the content of a chunk. Raises ``ValueError`` if it claims too much."""
     data, size, stored = chunk.data, chunk.uncompressed_size, len(chunk.data)
-    if size > MAX_CHUNK_BYTES:
-        raise ValueError(f"{size} bytes, at most {MAX_CHUNK_BYTES}")
-    if size > FREE_BYTES + MAX_RATIO * stored:
-        raise ValueError(f"{size} bytes from {stored}: more than {MAX_RATIO} times as many")
+    ratio = LARGE_RATIO if size > LARGE_BYTES else MAX_RATIO
+    if size > FREE_BYTES + ratio * stored:
+        raise ValueError(f"{size} bytes from {stored}: more than {ratio} times as many")
     if chunk.compression == "zstd":
         # The frame claims a size of its own, which zstd would trust.
-        if zstandard.frame_content_size(data) > MAX_CHUNK_BYTES:
+        if zstandard.frame_content_size(data) > size:
             raise ValueError("its zstd frame claims too many bytes")
         data = zstandard.decompress(data, size)
     elif chunk.compression == "lz4":  # mcap would let the frame grow without limit

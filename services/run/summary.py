@@ -45,7 +45,7 @@ def summarise(
     """
     scenario = run_config.scenario
     measured = mode == SERVICES
-    tracking, true, localisation, absolute = metrics.track.errors()
+    errors = metrics.track.errors()
     nothing = quantiles([])
     return Summary(
         scenario=run_config.name,
@@ -57,10 +57,12 @@ def summarise(
         speed_reached=metrics.clock.reached() if measured else None,
         duration_s=_duration_ns(metrics.track.until_ns, scenario.end_ns) / 1e9,
         cycles=metrics.cycles,
-        tracking_error_m=tracking,
-        true_error_m=true,
-        localisation_error_m=localisation,
-        localisation_error_absolute_m=absolute,
+        tracking_error_m=errors.tracking,
+        true_error_m=errors.true,
+        true_error_drift_m=errors.true_drift,
+        in_places=run_config.reference.in_places,
+        localisation_error_m=errors.localisation,
+        localisation_error_absolute_m=errors.localisation_absolute,
         further=further(metrics.track.positions),
         thrust=metrics.commands.thrust(),
         fence=metrics.fence.figures(),
@@ -135,7 +137,12 @@ def summarise_recording(run_config: RunConfig, path: Path) -> Found:
 
 def _summarise(run_config: RunConfig, recording: Recording) -> Found:
     learned = EstimatedCurrent()
-    metrics = RunMetrics(run_config.vehicle, fence=run_config.fence, speed=run_config.scenario.run.speed)
+    metrics = RunMetrics(
+        run_config.vehicle,
+        fence=run_config.fence,
+        speed=run_config.scenario.run.speed,
+        in_places=run_config.reference.in_places,
+    )
     acceptance = Acceptance(run_config.vehicle, speed=run_config.scenario.run.speed)
     faults, why = 0, ""
     reported: Counter[str] = Counter()  # rejected messages on record, by process

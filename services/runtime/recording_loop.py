@@ -32,10 +32,10 @@ from services.runtime.clock import monotonic_us
 from services.runtime.clock_sync import STAMPED_INPUTS
 from services.runtime.console import counted
 from services.runtime.deadlines import DeadlineQueue
+from services.runtime.lifeline import LIFELINE
 from services.runtime.node_status import NodeStatusReporter, WaitingFor
 from services.runtime.publication_time import PublicationTime
 from services.runtime.stopping import Say, StopRequest
-from services.runtime.supervisor_link import SUPERVISOR_LINK
 
 NAME = "recorder"
 BACKLOG_US = 1_300_000  # longest time for writing what had arrived when the stop was requested
@@ -99,7 +99,7 @@ class RecordingLoop:
             session.subscribe("**", None, self.mailbox)
             session.serve(HISTORY, self._answer)
             deadlines = DeadlineQueue()
-            deadlines.add(lambda: SUPERVISOR_LINK.due_us, SUPERVISOR_LINK.beat)
+            deadlines.add(lambda: LIFELINE.due_us, LIFELINE.beat)
             deadlines.add(lambda: self._status.due_us, self._status.publish)
             while not stop():
                 now_us = monotonic_us()
@@ -108,7 +108,7 @@ class RecordingLoop:
                 self._writer.flush_if_due()
                 self._settle()
             self._finish()
-            SUPERVISOR_LINK.last_beat()
+            LIFELINE.stopping()
 
     def _answer(self, query: bytes, _: bytes, reply: Reply) -> None:
         """Reply with a part of the history; a query that names no part gets none."""
@@ -180,7 +180,7 @@ class RecordingLoop:
 
     def _take(self, timeout_s: float) -> Frame | None:
         """Record the next message and return it; None if none arrives in time. Show that the process works."""
-        SUPERVISOR_LINK.beat(monotonic_us())
+        LIFELINE.beat(monotonic_us())
         frame = self.mailbox.take(timeout_s)
         if frame is not None:
             try:

@@ -9,8 +9,8 @@ takes its place if it dies or does not reply: a fork shares the memory, and load
 takes longer, while no server has loaded, as the router, which is the first of all, or if the spare fails too.
 
     reply     0: the server has loaded
-    request   module, config and log (JSON), with the child's standard input and heartbeat pipe (descriptors); or null,
-              with the socket of the requests to the spare
+    request   module, config and log (JSON), with the child's standard input, which holds the state to continue from,
+              and its lifeline (descriptors); or null, with the socket of the requests to the spare
     reply     the pid of the child, or of the spare
 
 The server has one thread and opens no Zenoh session, so no lock is held during a fork. It forks twice, and the process
@@ -23,7 +23,6 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
-import fcntl
 import gc
 import os
 import select
@@ -35,10 +34,11 @@ import time
 import traceback
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NoReturn
 
 import msgspec
 
+from services.runtime.lifeline import GO
 from services.supervisor import entry_point
 from services.supervisor.parent_death import die_with_parent
 
@@ -56,18 +56,9 @@ REPLY_TIMEOUT_S = 0.5
 """A fork takes about 10 ms, about 100 ms on a busy machine. A server that does not reply in time is killed."""
 
 ADOPTION_TIMEOUT_S = 2.0  # a child waits at most this long for its new parent, which may have died
-PIPE_BYTES = 1 << 20  # a state fits into the pipe, so that a stopped child does not block the supervisor
 
 
 # --- the supervisor's end --------------------------------------------------------------------------------------------
-
-
-class Child(NamedTuple):
-    """Child process of the supervisor, and the supervisor's ends of the two pipes to it."""
-
-    pid: int
-    stdin: int
-    heartbeat: int
 
 
 class Server:
@@ -156,30 +147,33 @@ class ForkServer:
         self._loaded = self._loaded or (self.pid != 0 and self._servers[0].reply(0.0) == LOADED)
         return self._loaded
 
-    def start(self, module: str, config: Path, log: Path) -> Child:
-        """Start a child: forked by the server, or by its spare, or spawned if none has loaded, or replies in time."""
-        stdin, into_stdin = os.pipe()
-        heartbeats, heartbeat = os.pipe()
-        with contextlib.suppress(OSError):  # more than this user is allowed
-            fcntl.fcntl(into_stdin, fcntl.F_SETPIPE_SZ, PIPE_BYTES)
+    def start(self, module: str, config: Path, log: Path, state: bytes = b"") -> tuple[int, int]:
+        """Start a child: forked by the server, or by its spare, or spawned if none has loaded, or replies in time.
+
+        Return its pid and the supervisor's end of its lifeline.
+        """
+        stdin = os.memfd_create("state")
+        os.write(stdin, state)
+        heartbeats, lifeline = (end.detach() for end in socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET))
         os.set_blocking(heartbeats, False)
         try:
             if self.is_loaded():
-                pid = self._servers[0].fork((module, str(config), str(log)), (stdin, heartbeat))
+                pid = self._servers[0].fork((module, str(config), str(log)), (stdin, lifeline))
             else:
                 # The second action makes the descriptor inheritable.
-                actions = (os.POSIX_SPAWN_DUP2, stdin, 0), (os.POSIX_SPAWN_DUP2, heartbeat, heartbeat)
-                words = (*ENTRY_POINT, str(os.getpid()), module, str(config), str(heartbeat))
+                actions = (os.POSIX_SPAWN_DUP2, stdin, 0), (os.POSIX_SPAWN_DUP2, lifeline, lifeline)
+                words = (*ENTRY_POINT, str(os.getpid()), module, str(config), str(lifeline))
                 pid = _spawned(words, log, os.O_TRUNC, self._group, *actions)
         finally:
             os.close(stdin)
-            os.close(heartbeat)
+            os.close(lifeline)
         if pid is not None:
-            return Child(pid, into_stdin, heartbeats)
-        os.close(into_stdin)  # a child that the server has forked too late ends at the end of its input
-        os.close(heartbeats)
+            with contextlib.suppress(BrokenPipeError):  # the child is already dead, which is noticed elsewhere
+                os.write(heartbeats, GO)
+            return pid, heartbeats
+        os.close(heartbeats)  # a child that the server has forked too late ends at the end of its lifeline
         self._end(self._servers[0])
-        return self.start(module, config, log)  # without that server
+        return self.start(module, config, log, state)  # without that server
 
     def close(self) -> None:
         """Kill the servers; their children live on."""
@@ -277,13 +271,13 @@ def _run_child(parent: int, request: tuple[str, str, str] | None, descriptors: l
             serve(parent, socket.socket(fileno=descriptors[0]))
             code = 0
         else:
-            (module, config, log), (stdin, heartbeat) = request, descriptors
+            (module, config, log), (stdin, lifeline) = request, descriptors
             output = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666)
             for number, target_fd in ((stdin, 0), (output, 1), (output, 2)):
                 os.dup2(number, target_fd)
             os.close(stdin)
             os.close(output)
-            code = entry_point.run(str(parent), module, config, str(heartbeat))
+            code = entry_point.run(str(parent), module, config, str(lifeline))
     except SystemExit as stop:
         code = stop.code if isinstance(stop.code, int) else int(stop.code is not None)
     except BaseException:

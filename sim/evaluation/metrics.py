@@ -4,11 +4,12 @@ With p(t) the truth, e(t) the estimate, r(t) the reference (on a path: its targe
 the descent:
 
     tracking      e(t) - r(t)
-    localisation  (e(t) - e(0)) - (p(t) - p(0))
-    true          (p(t) - p(0)) - (r(t) - e(0)) = tracking - localisation
+    localisation  (e(t) - e(0)) - (p(t) - p(0)),   absolute  e(t) - p(t)
+    true          p(t) - r(t)                      of a reference that is given in places
+                  (p(t) - p(0)) - (r(t) - e(0))    of one that begins where the vehicle is, and the drift of both
 
-sampled at the times t > 0 of the estimates. These errors are drift since t = 0: they do not contain the error of the
-surface fix, which is in ``localisation_error_absolute_m``.
+sampled at the times t > 0 of the estimates. Drift since t = 0 does not contain the error of the surface fix, e(0) -
+p(0). A line that begins at the estimate has this error itself, a place on a map has not.
 
 Between two reports of the actuators the command is taken as linear in time. It is, except at a knot between them.
 What a long run has many of is kept as plain numbers, rows one after the other: 20 MB for an hour.
@@ -58,10 +59,24 @@ class _Target(NamedTuple):
     moves: bool  # along a path
 
 
-class TrackErrors:
-    """True, estimated and reference positions of a run, and the errors between them."""
+class Errors(NamedTuple):
+    """Errors of a run."""
 
-    def __init__(self) -> None:
+    tracking: Spread
+    true: Spread
+    localisation: Spread
+    localisation_absolute: Spread
+    true_drift: Spread
+
+
+class TrackErrors:
+    """True, estimated and reference positions of a run, and the errors between them.
+
+    ``in_places``: the reference is given in places, and does not begin where the vehicle is.
+    """
+
+    def __init__(self, *, in_places: bool) -> None:
+        self._in_places = in_places
         self._truth = array("d")  # t, north, east
         self._estimate = array("d")
         self._reference: list[_Target] = []
@@ -97,18 +112,25 @@ class TrackErrors:
         if not len(at) or not len(truth):
             return None
         start = _track(estimate, np.zeros(1))
-        true = _track(truth, at) + (start - _track(truth, np.zeros(1)))
-        return Positions(at / 1e9, _track(estimate, at), true, self._references(at, start))
+        fix = np.zeros(2) if self._in_places else start - _track(truth, np.zeros(1))
+        return Positions(at / 1e9, _track(estimate, at), _track(truth, at) + fix, self._references(at, start))
 
-    def errors(self) -> tuple[Spread, Spread, Spread, Spread]:
-        """Return tracking, true, localisation and absolute localisation error."""
+    def errors(self) -> Errors:
+        """Return all errors."""
         at = self.positions
         if at is None:
-            return (_spread(np.empty(0)),) * 4
+            return Errors(*(_spread(np.empty(0)),) * 5)
         fix = _track(_rows(self._estimate, 3), np.zeros(1)) - _track(_rows(self._truth, 3), np.zeros(1))
-        localisation = at.estimate_m - at.true_m
-        errors = at.estimate_m - at.reference_m, at.true_m - at.reference_m, localisation, localisation + fix
-        return tuple(_spread(np.hypot(*error.T)) for error in errors)  # type: ignore[return-value]
+        drifting = at.true_m + fix if self._in_places else at.true_m
+        localisation = at.estimate_m - drifting
+        errors = (
+            at.estimate_m - at.reference_m,
+            at.true_m - at.reference_m,
+            localisation,
+            localisation + fix,
+            drifting - at.reference_m,
+        )
+        return Errors(*(_spread(np.hypot(*error.T)) for error in errors))
 
     def _references(self, at: Array, start: Array) -> Array:
         """Return the reference of the newest plan at each time, (K, 2); before the first plan, that of the first.
@@ -276,9 +298,12 @@ class RunMetrics:
     vehicle : thrust limits, hull.
     fence : zones from which the vehicle keeps away, until a ``FenceInForce`` names others.
     speed : speed of the clock until the first ``Clock`` message.
+    in_places : the reference is given in places, and does not begin where the vehicle is.
     """
 
-    def __init__(self, vehicle: Vehicle, *, fence: Fence | None = None, speed: float = 1.0) -> None:
+    def __init__(
+        self, vehicle: Vehicle, *, fence: Fence | None = None, speed: float = 1.0, in_places: bool = False
+    ) -> None:
         self.fence = FenceDistances(vehicle, fence)
         self.cycles = 0
         self.deadline_misses = 0
@@ -286,7 +311,7 @@ class RunMetrics:
         self.qp_status: Counter[str] = Counter()
         self.plan_origin: Counter[str] = Counter()
         self.health: Counter[str] = Counter()
-        self.track = TrackErrors()
+        self.track = TrackErrors(in_places=in_places)
         self.commands = ThrustCommands(vehicle)
         self.clock = ClockSpeed(speed)
         self.delays = PlanDelays()

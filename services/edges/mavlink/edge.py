@@ -108,7 +108,10 @@ class MavlinkEdge(Edge):
             self._numbers.add(message.get_srcSystem(), message.get_seq())
             self.lost = self._numbers.lost
         if kind == "HEARTBEAT":
+            known = self.autopilot.kind is not None
             self.autopilot.heartbeat(message, frame.now_us)
+            if not known:
+                self._asked_us = -SECOND_US  # its messages are asked for at once
         elif self.autopilot.is_from(message) and self._is_mine(message):
             self._seen_us[kind] = frame.now_us
             yield from self._take_in(kind, message, frame.now_us)

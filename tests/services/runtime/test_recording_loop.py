@@ -35,10 +35,10 @@ from services.recording.segments import SegmentWriter
 from services.recording.writer import RunWriter
 from services.runtime import recording_loop
 from services.runtime.clock import monotonic_us
+from services.runtime.lifeline import Lifeline
 from services.runtime.publication_time import FOLLOWS_HOST
 from services.runtime.recording_loop import BEGAN_BEFORE, RecordingLoop
 from services.runtime.stopping import StopRequest
-from services.runtime.supervisor_link import SupervisorLink
 from tests.services.words import running_clock, status
 from tests.waiting import until
 
@@ -215,8 +215,8 @@ def test_what_another_or_an_unknown_name_says_it_has_published_is_no_loss(tmp_pa
     assert said[-1].endswith("none lost")
 
 
-class Watched(SupervisorLink):
-    """Link that notes at each heartbeat how many frames the loop has rejected so far."""
+class Watched(Lifeline):
+    """Lifeline that notes at each heartbeat how many frames the loop has rejected so far."""
 
     loop: RecordingLoop
 
@@ -234,7 +234,7 @@ def test_a_flood_neither_stops_the_heartbeats_nor_the_recorder_and_is_answered_w
 ) -> None:
     """Frames of an unknown key and messages arrive faster than they are written, and go on after the stop request."""
     link, ended, said = Watched(), threading.Event(), list[str]()
-    monkeypatch.setattr(recording_loop, "SUPERVISOR_LINK", link)
+    monkeypatch.setattr(recording_loop, "LIFELINE", link)
 
     def pour() -> None:
         sequence = 0

@@ -23,7 +23,7 @@ from tests.waiting import until
 QUICK = """
 import re, sys, time, types
 import msgspec
-from services.runtime.supervisor_link import SUPERVISOR_LINK
+from services.runtime.lifeline import LIFELINE
 from services.supervisor import entry_point, forkserver
 
 class Config(msgspec.Struct):
@@ -33,7 +33,7 @@ class Config(msgspec.Struct):
 def main(config):
     '''In the place of a node: what its config asks for.'''
     print(config.task, flush=True)
-    SUPERVISOR_LINK.beat(time.monotonic_ns() // 1000)
+    LIFELINE.beat(time.monotonic_ns() // 1000)
     match config.task:
         case "exits":
             return config.code
@@ -86,7 +86,7 @@ def started(crew: ChildProcesses, name: str, task: str, code: int | str = 0) -> 
 
     def began() -> bool:
         child.read_heartbeats()
-        return bool(child.last_lines()) and (child.hang_detector.last_s is not None or child.pipe_closed)
+        return bool(child.last_lines()) and (child.hang_detector.last_s is not None or child.exit_code() is not None)
 
     until(began)
     return child
@@ -108,11 +108,7 @@ def test_a_child_has_its_own_exit_code_and_log(
         crew.forks._end(crew.forks._servers[0])
     child = started(crew, "plant", task, code)
 
-    def ended() -> bool:
-        child.read_heartbeats()
-        return child.pipe_closed
-
-    until(ended)
+    until(lambda: child.exit_code() is not None)
     assert child.exit_code() == exit_code
     assert child.last_lines()[-1] == last
 

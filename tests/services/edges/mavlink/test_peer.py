@@ -17,7 +17,7 @@ from services.bus.mailbox import Mailbox
 from services.edges.edge import Outgoing, Received
 from services.edges.mavlink.codec import Codec
 from services.edges.mavlink.edge import MavlinkEdge, Settings
-from services.processes.edge_loop import EdgeLoop, SenderLimit
+from services.processes.edge_loop import EdgeLoop
 from services.processes.mavlink import STRANGERS, UdpLink
 from services.runtime.stopping import StopRequest
 from services.supervisor import loopback
@@ -147,11 +147,3 @@ def test_under_a_flood_of_many_senders_the_autopilot_is_heard_and_answered() -> 
             with pytest.raises(BlockingIOError):
                 stranger.recv(4096)
     assert edge.lost == 0
-
-
-def test_of_each_sender_only_some_frames_a_second_are_received() -> None:
-    limit = SenderLimit(frames=100, senders=20)
-    for number in range(23):
-        admitted = sum(limit.admits(f"10.0.0.1:{number}", 7.0) for _ in range(105))
-        assert admitted == (100 if number < 20 else 0)
-    assert limit.admits("10.0.0.1:0", 8.0)
