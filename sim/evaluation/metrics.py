@@ -44,6 +44,9 @@ from sim.evaluation.fence_distances import FenceDistances
 from sim.evaluation.further import Positions
 from sim.evaluation.summary import Quantiles, Spread, Thrust
 
+ZERO = np.zeros(1, dtype=np.int64)
+"""Start of the descent (ns), (1,)."""
+
 AT_BOX_N = 1e-6
 """Largest distance of a saturated command from its minimum or maximum (N)."""
 
@@ -55,16 +58,6 @@ class _Target(NamedTuple):
     t_ns: int  # time at which the target is there: the plan's first knot
     position_m: Pair
     moves: bool  # along a path
-
-
-class Errors(NamedTuple):
-    """Errors of a run."""
-
-    tracking: Spread
-    true: Spread
-    localisation: Spread
-    localisation_absolute: Spread
-    true_drift: Spread
 
 
 class TrackErrors:
@@ -108,29 +101,28 @@ class TrackErrors:
         at = np.array([t for t, _, _ in self._estimate if t > 0], dtype=np.int64)
         if not len(at) or not self._truth:
             return None
-        zero = np.zeros(1, dtype=np.int64)
-        start = _track(self._estimate, zero)
-        fix = np.zeros(2) if self._in_places else start - _track(self._truth, zero)
-        references = self._references(at, start)
-        return Positions(at / 1e9, _track(self._estimate, at), _track(self._truth, at) + fix, references)
+        shift = 0.0 if self._in_places else self._fix()
+        references = self._references(at, _track(self._estimate, ZERO))
+        return Positions(at / 1e9, _track(self._estimate, at), _track(self._truth, at) + shift, references)
 
-    def errors(self) -> Errors:
-        """Return all errors."""
-        at = self.positions
-        if at is None:
-            return Errors(*(_spread(np.empty(0)),) * 5)
-        zero = np.zeros(1, dtype=np.int64)
-        fix = _track(self._estimate, zero) - _track(self._truth, zero)
+    def errors(self) -> dict[str, Spread]:
+        """Return all errors by their names in ``Summary``."""
+        nothing = np.empty((0, 2))
+        at = self.positions or Positions(np.empty(0), nothing, nothing, nothing)
+        fix = self._fix() if self.positions else nothing
         drifting = at.true_m + fix if self._in_places else at.true_m
-        localisation = at.estimate_m - drifting
-        errors = (
-            at.estimate_m - at.reference_m,
-            at.true_m - at.reference_m,
-            localisation,
-            localisation + fix,
-            drifting - at.reference_m,
-        )
-        return Errors(*(_spread(np.hypot(*error.T)) for error in errors))
+        errors = {
+            "tracking_error_m": at.estimate_m - at.reference_m,
+            "true_error_m": at.true_m - at.reference_m,
+            "true_error_drift_m": drifting - at.reference_m,
+            "localisation_error_m": (localisation := at.estimate_m - drifting),
+            "localisation_error_absolute_m": localisation + fix,
+        }
+        return {name: _spread(np.hypot(*error.T)) for name, error in errors.items()}
+
+    def _fix(self) -> Array:
+        """Return estimate minus truth at t = 0, north and east (m), (1, 2)."""
+        return _track(self._estimate, ZERO) - _track(self._truth, ZERO)
 
     def _references(self, at: np.ndarray[Any, Any], start: Array) -> Array:
         """Return the reference of the newest plan at each time, (K, 2); before the first plan, that of the first.
@@ -181,9 +173,7 @@ class ThrustCommands:
         """Return statistics of the commands in force from t = 0 on."""
         rows = np.array([row for row in self._command if row[0] >= 0]).reshape(-1, 5)
         if len(rows) < 2:
-            return Thrust(
-                saturated_fraction=None, max_abs_N=None, mean_abs_N=None, travel_N=None, max_slew_N_per_s=None
-            )
+            return Thrust()
         h, F = np.diff(rows[:, 0]), rows[:, 1:3]  # (K-1,), (K, 2)
         limited = self._at_limits(rows[:, 1:4])
         vertical = float(np.average(limited[:, 2], weights=h)) if self._vehicle.can_dive else None
