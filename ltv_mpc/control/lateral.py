@@ -78,7 +78,7 @@ class LateralPlanner:
         Parameters
         ----------
         vehicle, config : as ``make_solver`` takes them.
-        constants : of the controller.
+        constants : of the controller; its coefficients may change.
         knots_ns : (N+1,) knots after a plan's start (ns).
         make_solver : called now, and again after a solve that failed.
         stopwatch : is called with a stage's name when that stage of a cycle ends.
@@ -176,15 +176,6 @@ class LateralPlanner:
         before, self._config = self._config, self._config_for(path=path, heading=heading)
         if self._config is not before and self._config != before:
             self._repack()
-
-    def set_coefficients(self, p: Array) -> None:
-        """Plan with other coefficients than those of the vehicle file.
-
-        Parameters
-        ----------
-        p : (21,) coefficients.
-        """
-        self._cycle.constants.p[:] = p
 
     def _repack(self) -> None:
         config, learned = self._config, self._cycle.constants.p
