@@ -23,7 +23,7 @@ from ltv_mpc.control.solvers.interface import Result
 from ltv_mpc.messages import Array, Solve, SolveStatus
 from ltv_mpc.vehicle.parameters import Vehicle
 
-_now: list[tuple[Linearisation, Array]] = []
+_now: list[tuple[Linearisation, Array, Array]] = []
 """What the QP that is being solved was made from; the next cycle overwrites it."""
 
 
@@ -31,7 +31,7 @@ class _Planner(LateralPlanner):
     """The controller's planner."""
 
     def _run_solver(self, problem: Problem, shift: float, *, last: bool) -> Result:
-        _now[:] = [(self._cycle.lin, self._cycle.target[:, :2])]
+        _now[:] = [(self._cycle.lin, self._cycle.target[:, :2], self._cycle.constants.p)]
         return super()._run_solver(problem, shift, last=last)
 
 
@@ -60,6 +60,11 @@ class Peer:
     def reference(self) -> Array:
         """Positions (N, 2) wanted; what is held is a point, so no velocity is wanted at the end."""
         return _now[0][1][:-1]
+
+    @property
+    def coefficients(self) -> Array:
+        """Coefficients of the vehicle, with what the controller has learned."""
+        return _now[0][2]
 
     def box(self) -> tuple[Array, Array]:
         """Lower and upper bounds of the commands at the knots 1 .. N, (N, 2) each (N); a start outside returns."""

@@ -51,9 +51,9 @@ from services.run.settings_files import TOO_LARGE, controller_files, node_settin
 from services.runtime import metrics as prometheus
 from services.runtime.console import Console
 from services.runtime.controller_status import ControllerStatusReporter, StatusSink, status_line
+from services.runtime.lifeline import LIFELINE
 from services.runtime.process_time import ClockOptions
 from services.runtime.runner import Runner
-from services.runtime.service_manager import SERVICE_MANAGER
 from services.runtime.stage_timer import StageTimer
 from services.runtime.stopping import FAILED, Say
 
@@ -62,13 +62,14 @@ Config = settings.Controller
 
 def main(config: Config) -> int:
     """Run the controller node until it is stopped. Returns the exit code."""
-    vehicle, reference = Vehicle.load(config.vehicle), references.load(config.reference)
+    notes: list[str] = []
+    vehicle, reference = Vehicle.load(config.vehicle), references.load(config.reference, notes)
     fence_file, soundings, arms_within_s = config.fence or "", config.bathymetry or "", config.arms_within_s
-    fence = fence_for(vehicle, reference, fence_file)
+    fence = fence_for(vehicle, reference, fence_file, notes)
     control, bus = config.resolved(), config.bus
     bottom = bathymetry_for(reference, control.limits, soundings)
     metrics, console = prometheus.Metrics(), Console(ControllerNode.name, as_json=config.log_json)
-    SERVICE_MANAGER.connect(os.environ)
+    LIFELINE.connect(os.environ)
     with contextlib.ExitStack() as stack:
         if config.metrics is not None:
             try:
@@ -80,9 +81,9 @@ def main(config: Config) -> int:
         if config.state is not None:
             checkpoint = Checkpoint(config.state, to_toml(reference), resume_within_s=arms_within_s, console=console)
             stack.callback(checkpoint.close)
-        SERVICE_MANAGER.status("compiling")
+        LIFELINE.status("compiling")
         warm_up(vehicle, reference, control)
-        SERVICE_MANAGER.status("waiting for the router")
+        LIFELINE.status("waiting for the router")
         node_stages = StageTimer()
         files = controller_files(config.vehicle, config.reference, fence_file, soundings, control)
         published = node_settings(ControllerNode.name, files)
@@ -96,10 +97,11 @@ def main(config: Config) -> int:
         def show(status: ControllerStatus) -> None:
             line = status_line(status, key_in(bus, BY_TYPE[Estimate]))
             console.show(line)
-            SERVICE_MANAGER.status(line)
+            LIFELINE.status(line)
 
         for text in (
             *announcement(bus, control),
+            *notes,
             *reference.notes(vehicle),
             *([TOO_LARGE] if published is None else []),
         ):

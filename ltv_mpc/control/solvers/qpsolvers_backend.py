@@ -15,7 +15,7 @@ from ltv_mpc.control.ocp.problem import Problem
 from ltv_mpc.control.qp import QP, Solution
 from ltv_mpc.control.solvers.interface import Result
 from ltv_mpc.control.solvers.sparse import solution_of, sparse_qp
-from ltv_mpc.errors import ConfigError
+from ltv_mpc.errors import SolverNotInstalled
 from ltv_mpc.messages import Solve, SolveStatus
 
 
@@ -71,13 +71,13 @@ def solve_qp(qp: QP, solver: str = "osqp") -> Solution:
 
     Raises
     ------
-    ConfigError
+    SolverNotInstalled
         The backend is not known or not installed.
     """
     import qpsolvers
 
     if solver not in installed_backends():
-        raise ConfigError(
+        raise SolverNotInstalled(
             "option --solver",
             "",
             f"is not installed or not known; installed: {', '.join(sorted(installed_backends()))}",

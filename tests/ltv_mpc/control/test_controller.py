@@ -14,7 +14,7 @@ from ltv_mpc.control.mode import NO_DEPTH
 from ltv_mpc.control.problem_data import Constants
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.vertical import VerticalPlan, follow_depth
-from ltv_mpc.errors import ConfigError
+from ltv_mpc.errors import SolverNotInstalled
 from ltv_mpc.messages import Health
 from ltv_mpc.safety.plan_gate import TOLERANCE_N
 from tests.ltv_mpc.control.flights import fly
@@ -102,7 +102,7 @@ def test_a_hold_drives_no_thruster_before_its_start_and_then_holds_its_position(
 
 
 def test_an_unknown_solver_is_rejected_by_name():
-    with pytest.raises(ConfigError, match='solver = "gurobbi"'):
+    with pytest.raises(SolverNotInstalled, match='solver = "gurobbi"'):
         Controller(PAPER, POINT, ControllerConfig(solver="gurobbi"))
 
 
