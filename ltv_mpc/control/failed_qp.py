@@ -85,7 +85,7 @@ class NamedQp(msgspec.Struct, frozen=True, eq=False, tag_field="format", tag="lt
         solve : the solver's report.
         """
         layout = SparseLayout(problem)
-        return cls(layout.assemble(layout.filled(problem)), row_names(layout, scale), solve)
+        return cls(layout.qp(problem), row_names(layout, scale), solve)
 
     def save(self, path: Path) -> None:
         """Write the problem to one file.
