@@ -122,7 +122,7 @@ class LateralPlanner:
         ----------
         start : the vehicle at the plan's start. Target and current are set before.
         """
-        limited = self._config.limits.has_state_limit
+        limited = bool(np.isfinite(self._config.limits.state_bounds).any())
         self.fencing.bend(start.lateral[:2], self._cycle.lin.C[0], self.target, limited=limited)
 
     def relax_target(self, start: Start, radius_m: float) -> None:
