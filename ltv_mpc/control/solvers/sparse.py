@@ -17,7 +17,7 @@ both, so it grows in the first cycles and then stays.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -36,6 +36,9 @@ from ltv_mpc.vehicle.parameters import Vehicle
 
 Indices = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
+
+Entries: TypeAlias = tuple[Indices, Indices, Indices]
+"""Row and column of some entries, and where their numbers come from."""
 
 DYNAMICS, HARD, UPPER, LOWER, EXCESS = range(5)
 """Kinds of rows."""
@@ -116,12 +119,12 @@ class SparseLayout:
         """Number of rows m."""
         self.P, H = _placed(*_hessian_entries(self.masks.H, self.column), (self.variables, self.variables))
         entries = _row_entries(self.masks, self.column, excess, kind, source, self.of_limit)
-        row, col, index, first_G, first_constant, values = entries
+        row, col, index = (np.concatenate(part) for part in zip(*entries, strict=True))
         self.A, at = _placed(row, col, index, (self.rows, self.variables))
         """Pattern of A; its numbers are those that never change."""
+        F, G, constant = np.split(at, np.cumsum([len(part[0]) for part in entries])[:2], axis=1)
         self.A.data[:] = 0.0
-        self.A.data[at[0, first_constant:]] = values
-        F, G = at[:, :first_G], at[:, first_G:first_constant]
+        self.A.data[constant[0]] = constant[1]
         self.places = Places(excess, kind, source, H, F, G, self.A.indices.astype(np.int64))
 
     def allocate(self) -> Numbers:
@@ -201,8 +204,8 @@ def solution_of(p: Problem, x: Array) -> Array:
     return z
 
 
-def _hessian_entries(mask: Mask, column: Indices) -> tuple[Indices, Indices, Indices]:
-    """Return row, column and index in H of the entries of the upper triangle of P."""
+def _hessian_entries(mask: Mask, column: Indices) -> Entries:
+    """Return the entries of the upper triangle of P, with their indices in H."""
     k, i, j = np.nonzero(mask)
     row, col = column[k, i], column[k, j]
     stored = (row >= 0) & (col >= 0) & (row <= col)
@@ -211,23 +214,23 @@ def _hessian_entries(mask: Mask, column: Indices) -> tuple[Indices, Indices, Ind
 
 def _row_entries(
     masks: Masks, column: Indices, excess: Indices, kind: Indices, source: Indices, of_limit: Indices
-) -> tuple[Indices, Indices, Indices, int, int, Array]:
-    """Return row, column and index of the entries of A: those of F, of G, the constant ones; and their values."""
+) -> tuple[Entries, Entries, Entries]:
+    """Return the entries of A: of F and of G, with their indices there, and the constant ones, with their values."""
     F, G = masks.F, masks.G
     N, n, _ = F.shape
     k, i, j = np.nonzero(F)
     stored = column[k, j] >= 0
-    parts = [(k[stored] * n + i[stored], column[k, j][stored], np.flatnonzero(F)[stored])]
+    of_F = k[stored] * n + i[stored], column[k, j][stored], np.flatnonzero(F)[stored]
     k, i = np.divmod(source[of_limit], max(G.shape[1], 1))
     entry, j = np.nonzero(G[k, i] & (column[k] >= 0))
-    parts.append((of_limit[entry], column[k[entry], j], source[of_limit[entry]] * G.shape[2] + j))
-    of_excess = np.flatnonzero((kind != DYNAMICS) & (kind != HARD))
-    parts.append((np.arange(N * n), column[1:, :n].ravel(), np.zeros(N * n, dtype=np.int64)))
-    parts.append((of_excess, excess.flat[source[of_excess]], np.zeros(len(of_excess), dtype=np.int64)))
-    row, col, index = (np.concatenate(of) for of in zip(*parts, strict=True))
-    first_G, first_constant = len(parts[0][0]), len(parts[0][0]) + len(parts[1][0])
-    values = np.concatenate([-np.ones(N * n), np.where(kind[of_excess] == UPPER, -1.0, 1.0)])
-    return row, col, index, first_G, first_constant, values
+    of_G = of_limit[entry], column[k[entry], j], source[of_limit[entry]] * G.shape[2] + j
+    soft = np.flatnonzero((kind != DYNAMICS) & (kind != HARD))
+    constant = (
+        np.concatenate([np.arange(N * n), soft]),
+        np.concatenate([column[1:, :n].ravel(), excess.flat[source[soft]]]),
+        np.concatenate([np.full(N * n, -1), np.where(kind[soft] == UPPER, -1, 1)]),
+    )
+    return of_F, of_G, constant
 
 
 def _placed(row: Indices, column: Indices, index: Indices, shape: tuple[int, int]) -> tuple[csc_array, Indices]:
