@@ -11,7 +11,7 @@ from msgspec import Meta
 
 from ltv_mpc import config
 from ltv_mpc.control import shooting_grid
-from ltv_mpc.messages import Array, SourceName
+from ltv_mpc.messages import Array, SourceName, Times
 from ltv_mpc.node import DEFAULT_SOURCE
 from ltv_mpc.safety.health import Ages
 from ltv_mpc.safety.mission_policy import MissionSettings
@@ -215,6 +215,11 @@ class ResolvedConfig(ControllerConfig, frozen=True, kw_only=True, forbid_unknown
     def knots(self) -> Array:
         """Knots (N+1,) of the horizon, in units of the first stage (0.3 s)."""
         return shooting_grid.knots(self.stages, float(self._reach))
+
+    @property
+    def knots_ns(self) -> Times:
+        """The same in ns."""
+        return np.round(self.knots * STAGE_NS).astype(np.int64)
 
     @property
     def reach_s(self) -> float:

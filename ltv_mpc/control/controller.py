@@ -25,7 +25,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ltv_mpc.bathymetry import Bathymetry
-from ltv_mpc.control.config import STAGE_NS, ControllerConfig
+from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.delay import Delay
 from ltv_mpc.control.disturbance import DisturbanceObserver
 from ltv_mpc.control.fallback import NOT_RUN, LateralPlan, ramp_to_rest
@@ -110,6 +110,8 @@ class Controller:
         constants = Constants.of(vehicle, weights, config.knots, config.limits.state_bounds)
         constants = constants._replace(p=self._prediction.coefficients)  # one array, with what the observer learns
         self._estimates = EstimateSelector(vehicle, config.ages)
+        self.estimate_gate: EstimateGate = self._estimates.gate
+        """Plausibility check of the estimates, with the count of rejected ones."""
         self.vehicle_file_check = VehicleFileCheck()
         """Check of the vehicle file against what the motion shows."""
         self._motion_fit = MotionFit(vehicle)  # vehicle, sea and stamps that explain the motion
@@ -118,19 +120,11 @@ class Controller:
         self.observer = DisturbanceObserver(config.disturbance, vehicle)
         """What the motion has shown of current, estimated point and vehicle."""
         self._vertical = VerticalLaw(vehicle, constants, config.limits)
-        self._knots_ns = np.round(config.knots * STAGE_NS).astype(np.int64)  # (N+1,), after the plan's start
-        least_ns = round(config.min_delay_s * 1e9)
+        self._knots_ns = config.knots_ns  # after the plan's start
+        first_ns, least_ns = round(config.first_delay_s * 1e9), round(config.min_delay_s * 1e9)
         plan_ns = plan_end_ns(self._knots_ns, config.period_ns, vehicle.plan_timeout_s)
-        self._delay = Delay(_first_delay_ns(config), config.delay_quantile, least_ns, plan_ns)
-        self._lateral = LateralPlanner(
-            vehicle,
-            config,
-            constants,
-            knots_ns=self._knots_ns,
-            make_solver=make_solver,
-            stopwatch=stopwatch,
-            terms=terms,
-        )
+        self._delay = Delay(first_ns, config.delay_quantile, least_ns, plan_ns)
+        self._lateral = LateralPlanner(vehicle, config, constants, make_solver, stopwatch, terms)
         self._stopwatch = stopwatch
         self._followers = [self._follower(reference)]  # of the reference, and of the hold while it is paused
 
@@ -138,11 +132,6 @@ class Controller:
     def follower(self) -> Follower:
         """Follower of the reference: its target and the progress along it."""
         return self._followers[-1]
-
-    @property
-    def estimate_gate(self) -> EstimateGate:
-        """Plausibility check of the estimates, with the count of rejected ones."""
-        return self._estimates.gate
 
     def follow(self, reference: Reference) -> None:
         """Follow another reference from the next cycle on, or from ``resume`` on while the controller is paused.
@@ -414,13 +403,13 @@ class Controller:
         state : what the other one saved; its plan is the one in force at the actuators.
         t_ns : now, vehicle time (ns).
         """
-        state, first_ns = exact(state), _first_delay_ns(self.config)
+        state, expected_ns = exact(state), 0
         if state.plan is not None:
-            first_ns = max(state.plan.expected_delay_ns, first_ns)
+            expected_ns = state.plan.expected_delay_ns
             self.sent_commands.add(state.plan, before_N=state.plan.initial_thrust_N)
             self.actuator_check.sent(state.plan)
             self._lateral.previous.restore(state.plan)
-        self._delay.restore(first_ns, state.plan_delays_ns, state.cycle_times_ns)
+        self._delay.restore(expected_ns, state.plan_delays_ns, state.cycle_times_ns)
         self._vertical.integral_N = state.depth_integral_N
         self.observer.restore(state.disturbance, t_ns - state.t_ns)
         followed = FollowerState(state.reference_start, state.schedule_t_ns, state.schedule_s, state.schedule_rate)
@@ -623,8 +612,3 @@ def _end_of_motion_ns(state: ControllerState, period_ns: int, timeout_s: float) 
     if plan is None or plan.authority is not Authority.CONTROLLER:
         return state.schedule_t_ns
     return plan_end_ns(plan.t_ns, period_ns, timeout_s) + SAVE_PERIOD_NS
-
-
-def _first_delay_ns(config: ControllerConfig) -> int:
-    """Return the delay (ns) that is expected before anything was measured."""
-    return round(config.first_delay_s * 1e9)
