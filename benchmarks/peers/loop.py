@@ -8,13 +8,13 @@ import numpy as np
 
 from benchmarks.peers.peer import Peer
 from ltv_mpc.control.config import ResolvedConfig
-from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.node import ControllerNode
+from ltv_mpc.control.problem_data import Constants
 from ltv_mpc.control.solvers import SolverFactory
 from ltv_mpc.messages import Estimate, Pair, Plan, PlanOrigin, SolveStatus
 from ltv_mpc.node import ReceivedMessage
 from services.tools.profile.measure import Candidate
-from services.tools.profile.problems import Episode, seconds
+from services.tools.profile.problems import Episode
 
 
 @dataclass(frozen=True)
@@ -29,8 +29,9 @@ class Entry:
 
     def solver_factory(self, episode: Episode) -> SolverFactory:
         """Return a factory of this peer."""
-        limits = HorizonLimits.from_vehicle(episode.vehicle, seconds(1), episode.config.limits.state_bounds)
-        return lambda vehicle, _config: self.peer(episode.config, limits, vehicle)
+        config = episode.config
+        limits = Constants.of(episode.vehicle, config.weights, config.knots, config.limits.state_bounds)
+        return lambda vehicle, _config: self.peer(config, limits, vehicle)
 
 
 class Loop(ControllerNode):

@@ -138,6 +138,8 @@ def _curved(p: Array, corner_m: float) -> tuple[Array, Numbers, float]:
         banded[1, end] += smooth * (2.0 - last[end])
         right[end] += (smooth * (3.0 - last[end]))[:, None] * legs
     banded[1, banded[1] == 0.0] = 1.0
+    from scipy.linalg import solveh_banded  # 14 MB, for sampled curves alone
+
     slope = solveh_banded(banded, right)
     parts = np.where(bent, np.ceil(np.sqrt(4.0 * bulge_m / ACCURACY_M)), 1.0).astype(np.int64)
     number = np.concatenate([[0], np.cumsum(parts)])

@@ -19,6 +19,7 @@ from ltv_mpc.control.config import ControllerConfig, ResolvedConfig
 from ltv_mpc.control.failed_qp import NamedQp
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.control.ocp import assembly
+from ltv_mpc.control.ocp.problem import Problem
 from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.control.solvers import Solver, make
 from ltv_mpc.control.solvers.interface import Result
@@ -196,8 +197,8 @@ def warm_up(vehicle: Vehicle, reference: Reference, config: ControllerConfig) ->
     class FailingSolver(RecordingSolver):
         """Solver that fails on demand."""
 
-        def solve(self) -> Result:
-            result = super().solve()
+        def solve(self, problem: Problem, shift: float, *, last: bool = True) -> Result:
+            result = super().solve(problem, shift, last=last)
             return result._replace(solve=Solve(status=SolveStatus.FAILED)) if fails else result
 
     def make_failing(*settings: Any) -> Solver:
@@ -229,9 +230,7 @@ def warm_up_solver(vehicle: Vehicle, config: ResolvedConfig) -> None:
     """Compile what ``warm_up`` compiles last, so that two processes share the work."""
     solver, problem = make(vehicle, config), assembly.empty(config.stages)
     problem.H[:, :, :] = np.eye(problem.H.shape[1])
-    solver.build(problem)
-    solver.update()
-    solver.solve()
+    solver.solve(problem, math.nan)
     plan = Plan(
         cycle_t_ns=0,
         t_ns=np.arange(2, dtype=np.int64),

@@ -29,10 +29,10 @@ from scipy.sparse import csc_matrix
 
 from ltv_mpc.control.config import ControllerConfig, ResolvedConfig
 from ltv_mpc.control.controller import Controller
-from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.control.ocp.problem import Problem
 from ltv_mpc.control.problem_data import CHANGES, COMMANDS
+from ltv_mpc.control.scaling import thrust_scale
 from ltv_mpc.control.solvers import Solver, SolverFactory, make
 from ltv_mpc.control.solvers.recorder import RecordingSolver
 from ltv_mpc.control.solvers.sparse import solution_of, sparse_qp
@@ -41,9 +41,9 @@ from ltv_mpc.node import Stopwatch, no_stopwatch
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.runtime.stage_timer import StageTimer
 from services.tools.profile.piqp_yardstick import PiqpYardstick
-from services.tools.profile.problems import Episode, length_s, seconds
+from services.tools.profile.problems import Episode, length_s
 
-STAGES = ("predict", "linearise", "build", "update", "solve", "read")
+STAGES = ("predict", "linearise", "build", "solve", "read")
 
 EXACT = 1e-10
 """Absolute tolerance of the solution that thrusts are compared with: four orders below what is compared."""
@@ -217,7 +217,7 @@ class _MeasuredController:
         self._recorded: RecordingSolver
         self.controller = controller_of(candidate, episode, make_solver=self._make_recorded, stopwatch=self.timer)
         self._into = into
-        self._largest_N = HorizonLimits.from_vehicle(episode.vehicle, seconds(1)).thrust_scale
+        self._largest_N = thrust_scale(episode.vehicle)
         self._cycle_us = self._repeated_us = self._flushed_us = 0.0
         self._stage_us: dict[str, float] = {}
 
