@@ -32,6 +32,7 @@ from services.recording.node_settings import NoSettingsError, SettingsByStart, p
 from services.recording.reader import Recording
 from services.recording.recover import segments
 from services.replay.verdict import Change
+from services.run.folder import write_files
 from services.run.nodes import make_nodes
 from services.run.run_config import SCENARIO, RunConfig, resolve
 from services.run.settings_files import BATHYMETRY
@@ -210,11 +211,9 @@ def _load(name: str, path: Path) -> ControllerConfig | EstimatorConfig:
 def _unpacked(files: Mapping[str, str], *, source: str) -> Iterator[Path]:
     """Write settings files into a temporary folder. A ``ConfigError`` of one of them names the recording."""
     with tempfile.TemporaryDirectory() as place:
-        for name, text in files.items():
-            path = Path(place, name)
-            if name.endswith((".toml", ".csv")) and path.resolve().is_relative_to(Path(place).resolve()):
-                path.parent.mkdir(parents=True, exist_ok=True)
-                path.write_text(text, encoding="utf-8")
+        root = Path(place).resolve()
+        inside = (name for name in files if (root / name).resolve().is_relative_to(root))
+        write_files(root, {name: files[name] for name in inside if name.endswith((".toml", ".csv"))})
         try:
             yield Path(place)
         except ConfigError as error:

@@ -17,7 +17,13 @@ from benchmarks.faults.effects import (
     SolverFault,
     SolverFaultInterval,
 )
-from benchmarks.faults.message_faults import MessageFault, MessageFaultInterval, MessageFaults
+from benchmarks.faults.message_faults import (
+    Delivery,
+    FaultyLockStep,
+    MessageFault,
+    MessageFaultInterval,
+    MessageFaults,
+)
 from benchmarks.faults.sensor_faults import READINGS, Failure, FaultySensors, SensorFault
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.node import ControllerNode
@@ -42,7 +48,6 @@ from ltv_mpc.node import Grid, Inbox, OnMessage, ReceivedMessage
 from ltv_mpc.references import Point
 from ltv_mpc.validation import rejection_reason
 from ltv_mpc.vehicle.parameters import Vehicle
-from sim.scheduler import Delivery, LockStep
 from tests.stepping import as_sent
 
 MS, S = 1_000_000, 1_000_000_000
@@ -159,7 +164,7 @@ class Listener:
 
 def test_in_lock_step_a_delayed_message_is_heard_when_it_arrives() -> None:
     listener = Listener()
-    LockStep([Speaker(), listener], start_ns=0, transport=message_faults(MessageFault.DELAY, 0.25)).advance(3 * S)
+    FaultyLockStep(message_faults(MessageFault.DELAY, 0.25), [Speaker(), listener], start_ns=0).advance(3 * S)
     assert sorted(listener.heard) == sorted((100 * i + 250 * (10 <= i < 20), i) for i in range(31))
 
 
