@@ -39,6 +39,10 @@ class ConfigError(ValueError):
         return type(self), (self.source, self.field, self.problem, self.value)
 
 
+class SolverNotInstalled(ConfigError):
+    """Name of a solver that is neither one of this project nor an installed backend of qpsolvers."""
+
+
 def format_value(value: object) -> str:
     """Format a value as TOML writes it, shortened to ``MAX_VALUE_LENGTH`` characters."""
     if isinstance(value, bool):

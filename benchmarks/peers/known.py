@@ -11,6 +11,7 @@ FILES = {
     "with_qpmpc": ("QpmpcDaqp", ("qpmpc", "daqp")),
     "with_cvxpy": ("CvxpyOsqp", ("cvxpy",)),
     "with_casadi": ("CasadiIpopt", ("casadi",)),
+    "with_acados": ("AcadosRti", ("acados", "casadi")),
     "with_do_mpc": ("DoMpcIpopt", ("do_mpc", "casadi")),
     "with_scipy": ("ScipyLeastSquares", ("scipy",)),
 }

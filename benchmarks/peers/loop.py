@@ -8,14 +8,14 @@ import numpy as np
 
 from benchmarks.peers.peer import Peer
 from ltv_mpc.control.config import ControllerConfig
-from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.node import ControllerNode
+from ltv_mpc.control.problem_data import Constants
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.messages import Estimate, Pair, Plan, PlanOrigin, SolveStatus
 from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.tools.profile.measure import Candidate
-from services.tools.profile.problems import Episode, seconds
+from services.tools.profile.problems import Episode
 
 
 def candidate_of(peer: type[Peer]) -> Candidate:
@@ -23,7 +23,8 @@ def candidate_of(peer: type[Peer]) -> Candidate:
 
     def make_solver(vehicle: Vehicle, config: ControllerConfig) -> Peer:
         resolved = settled(config, vehicle)
-        return peer(resolved, HorizonLimits.from_vehicle(vehicle, seconds(1), resolved.limits.state_bounds), vehicle)
+        constants = Constants.of(vehicle, resolved.weights, resolved.knots, resolved.limits.state_bounds)
+        return peer(resolved, constants, vehicle)
 
     return Candidate(peer.name, make_solver)
 

@@ -18,14 +18,14 @@ def rates(x: Any, F: Any, c: Any, cr: Any, p: Coefficients) -> Any:
     cos, sin = ca.cos(psi), ca.sin(psi)
     surge = F[0] + F[1] - (p.linear_surge + p.quadratic_surge * ca.fabs(u)) * u
     sway = -(p.linear_sway + p.quadratic_sway * ca.fabs(v)) * v
-    yaw = F[0] * p.arm_port - F[1] * p.arm_starboard - (p.linear_yaw + p.quadratic_yaw * ca.fabs(r)) * r
+    yaw = F[0] * p.arm_port - F[1] * p.arm_starboard + p.yaw_moment - (p.linear_yaw + p.quadratic_yaw * ca.fabs(r)) * r
     return ca.vertcat(
         cos * u - sin * v + c[0],
         sin * u + cos * v + c[1],
         (surge + p.mass_sway * v * r - p.dry_mass * (cos * cr[0] + sin * cr[1])) / p.mass_surge,
         (sway - p.mass_surge * u * r - p.dry_mass * (cos * cr[1] - sin * cr[0])) / p.mass_sway,
         r,
-        (yaw + (p.mass_surge - p.mass_sway) * u * v) / p.inertia_yaw,
+        (yaw + (p.mass_surge - p.mass_sway + p.added_munk) * u * v) / p.inertia_yaw,
     )
 
 
@@ -39,7 +39,12 @@ def stage(h: float, steps: int, p: Coefficients) -> Any:
     """Return the function (X (8,), u0, uh, c0, ch) -> X(h) (8,) of ``ltv_mpc/vehicle/flow.py``, integrated by
     Runge-Kutta 4 in ``steps`` steps.
     """
-    X, u0, uh, c0, ch = (ca.SX.sym(name, size) for name, size in zip("Xuvcd", (8, 2, 2, 2, 2), strict=True))
+    inputs = [ca.SX.sym(name, size) for name, size in zip("Xuvcd", (8, 2, 2, 2, 2), strict=True)]
+    return ca.Function("stage", inputs, [flow(*inputs, h, steps, p)])
+
+
+def flow(X: Any, u0: Any, uh: Any, c0: Any, ch: Any, h: float, steps: int, p: Coefficients) -> Any:
+    """Return X(h) as an expression; ``p`` may have expressions, but for the lags."""
     cr = (ch - c0) / h
 
     def thrust(t: float) -> Any:
@@ -58,7 +63,7 @@ def stage(h: float, steps: int, p: Coefficients) -> Any:
         k3 = slope(x + d / 2 * k2, t + d / 2)
         k4 = slope(x + d * k3, t + d)
         x = x + d / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-    return ca.Function("stage", [X, u0, uh, c0, ch], [ca.vertcat(x, thrust(h))])
+    return ca.vertcat(x, thrust(h))
 
 
 def _lagged(F0: Any, u0: Any, uh: Any, t: float, h: float, lag: float) -> Any:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import msgspec
 from msgspec import Meta
@@ -24,6 +24,9 @@ class BaseReference(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     depth, the wanted depth begins at that of the vehicle and changes by at most ``descent_rate_mps``. ``origin`` is the
     position of north = east = 0, for places given in degrees.
     """
+
+    in_places: ClassVar[bool] = True
+    """It is given in places; False: it begins where the vehicle is."""
 
     start_s: Annotated[float, Meta(ge=-1e6, le=1e6)] | None = None  # None: at once
     depth_m: Depth | None = None

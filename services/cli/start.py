@@ -255,7 +255,7 @@ def _run_processes(
     from services.supervisor import supervisor
 
     limits = [(thruster.min_N, thruster.max_N) for thruster in run_config.vehicle.thrusters]
-    screen = RunScreen(run_config.scenario.title, limits)
+    screen = RunScreen(run_config.scenario.title, limits, files=run_config.files)
     about = About(
         name=f"{run_config.scenario.title} · vehicle {run_config.vehicle.name}",
         report=str(folder.report),

@@ -15,7 +15,10 @@ from services.bus.wire import WireError
 from services.recording.reader import Recording
 
 PREFIX = f"{BY_TYPE[NodeSettings].key}/"
-SCENARIO, VEHICLE = "scenario.toml", "config/vehicle.toml"
+SCENARIO, VEHICLE, REFERENCE = "scenario.toml", "config/vehicle.toml", "config/reference.toml"
+
+HOLD = "hold"
+"""Kind of a reference that begins where the vehicle is."""
 
 
 class NoSettingsError(LookupError):
@@ -55,6 +58,11 @@ def vehicle_name(files: Mapping[str, str]) -> str:
     """Return the name in a vehicle file; "unknown" if there is none."""
     name = table_of(files, VEHICLE).get("name")
     return name if isinstance(name, str) and name.isprintable() else "unknown"
+
+
+def is_in_places(files: Mapping[str, str]) -> bool:
+    """Return True if these settings files have a reference that is given in places."""
+    return bool(table_of(files, REFERENCE).get("kind", HOLD) != HOLD)
 
 
 def vehicle_of(files: Mapping[str, str]) -> Vehicle | None:

@@ -66,7 +66,7 @@ class _Cause(Enum):
     NOISE = (
         f"Noise of the estimate, or waves, keep the thrusters moving: `{WITHOUT_DRIFT}` shows the run without noise."
     )
-    DRIFT = f"Better sensors or more fixes reduce the drift, more thrust does not; `{WITHOUT_DRIFT}` shows it without."
+    DRIFT = f"Better sensors or more fixes reduce it, more thrust does not; `{WITHOUT_DRIFT}` shows it without."
     NO_THRUST = "The lateral thrusts were zero, so the water carried the vehicle."
     DROPOUT = "The estimates dropped out, and the vehicle followed its prediction: estimator and sensors come first."
     OTHER_SOURCE = "Another source of thrust, or none, drove the thrusters: end it, or switch them on."
@@ -131,12 +131,14 @@ def _error(summary: Mapping[str, Any]) -> list[str]:
     if cause is None:
         good = f", which is good: less than {GOOD_M:g} m" if tracking < GOOD_M else ""
         return [f"The estimate was {tracking:.3f} m from the reference on average{good}."]
+    what = "error" if summary.get("in_places") else "drift"
     average, perfect = f"The vehicle was {true:.3f} m from the reference on average", summary.get("perfect_state")
-    parts = f"Tracking is the larger part, {tracking:.3f} m; the drift of the estimate is {localisation:.3f} m."
+    parts = f"Tracking is the larger part, {tracking:.3f} m; the {what} of the estimate is {localisation:.3f} m."
     if perfect:
         parts = f"All of this is tracking, because `{WITHOUT_DRIFT}` gave the true state to the controller."
     elif localisation > tracking:
-        parts = f"Drift of the estimate is the larger part, {localisation:.3f} m; tracking is {tracking:.3f} m."
+        larger = f"{what.capitalize()} of the estimate is the larger part, {localisation:.3f} m"
+        parts = f"{larger}; tracking is {tracking:.3f} m."
     if cause is _Cause.GOOD:
         return [f"{average}, which is good: less than {GOOD_M:g} m.", parts if perfect else ""]
     why = _health(summary) if cause in OF_HEALTH else ""
@@ -161,8 +163,9 @@ def _not_held(summary: Mapping[str, Any]) -> str:
 
 
 def _errors_m(summary: Mapping[str, Any]) -> Iterator[float]:
-    """Yield the mean errors of tracking, of the vehicle and of the estimate (m)."""
-    return (_figure(summary, f"{error}_error_m", "mean") for error in ("tracking", "true", "localisation"))
+    """Yield the mean errors of tracking, of the vehicle and of the estimate (m); the second has the others in it."""
+    localisation = "localisation_error_absolute_m" if summary.get("in_places") else "localisation_error_m"
+    return (_figure(summary, error, "mean") for error in ("tracking_error_m", "true_error_m", localisation))
 
 
 def _fence(summary: Mapping[str, Any]) -> str:

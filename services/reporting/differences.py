@@ -25,6 +25,7 @@ FIGURES = (
     Figure("tracking error, mean", "m", ("tracking_error_m", "mean"), 3),
     Figure("tracking error, largest", "m", ("tracking_error_m", "max"), 3),
     Figure("true error, mean", "m", ("true_error_m", "mean"), 3),
+    Figure("true error since t = 0, mean", "m", ("true_error_drift_m", "mean"), 3),
     Figure("true error, largest", "m", ("true_error_m", "max"), 3),
     Figure("localisation error, mean", "m", ("localisation_error_m", "mean"), 3),
     Figure("localisation error, at the end", "m", ("localisation_error_m", "final"), 3),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ def verdict(summary: Mapping[str, Any], folder: Path, next_commands: Sequence[st
         ("run", f"{summary['scenario']}, {summary['duration_s']:.1f} s {how(summary)}, seed {summary['seed']}"),
         ("horizon", f"{summary['horizon_s']:.1f} s in {summary['stages']} stages"),
         ("tracking", _error(summary["tracking_error_m"], "estimate from the reference")),
-        ("true error", _error(summary["true_error_m"], "vehicle from the reference")),
+        *_true_errors(summary),
         ("localisation", _error(summary["localisation_error_m"], "estimate from the vehicle")),
         ("thrust", _thrust(summary["thrust"])),
         ("energy", _energy(summary["thrust"])),
@@ -60,6 +60,16 @@ def how(summary: Mapping[str, Any]) -> str:
         return "as processes"
     short = reached is not None and reached < MIN_SPEED_RATIO * asked
     return f"as processes at {f'{reached:.1f} of ' if short else ''}{asked:g} x real time"
+
+
+def _true_errors(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Yield the error of the vehicle and what it is; of a reference in places also without the error of the fix."""
+    drift = "vehicle from it, since t = 0"
+    if summary.get("in_places"):
+        yield "true error", _error(summary["true_error_m"], "vehicle from it, absolute")
+        yield "of it drift", _error(summary["true_error_drift_m"], drift)
+    else:
+        yield "true error", _error(summary["true_error_m"], drift)
 
 
 def _error(spread: Mapping[str, float | None], meaning: str) -> str:

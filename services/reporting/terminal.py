@@ -6,7 +6,7 @@ import math
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
 import numpy as np
@@ -48,11 +48,15 @@ def stderr_console() -> Console:
 class RunScreen:
     """Screen of a run: redrawn in place on a terminal, otherwise a line every ``LINE_S``."""
 
-    def __init__(self, title: str, limits: Limits, console: Console | None = None) -> None:
+    def __init__(
+        self, title: str, limits: Limits, console: Console | None = None, files: Mapping[str, str] | None = None
+    ) -> None:
+        """``files`` are the settings of the run."""
         self._title = title
         self._limits = limits
         self._console = console or stderr_console()
         self._collector = Collector()
+        self._collector.set_files(files or {})
         self._live: Live | None = None
         if not is_plain(self._console):
             self._live = Live(console=self._console, auto_refresh=False, vertical_overflow="crop")
@@ -206,9 +210,8 @@ def _motion(view: LiveView, collector: Collector) -> list[str]:
         words += f"   current {current_mps:.3f} m/s"
     error = f"estimate from the reference {_metres(collector.error_m)}"
     if view.truth is not None:
-        error += f"   vehicle from the reference {_metres(collector.true_error_m)}"
-        if (since_s := collector.values.get("since_s")) is not None:  # the screen joined the run late; 80 columns
-            error = error.replace("vehicle from the reference", "vehicle") + f" since t = {since_s:g} s"
+        vehicle = f"vehicle {'' if collector.since else 'from the reference '}"  # 80 columns
+        error += f"   {vehicle}{_metres(collector.true_error_m)} {collector.since}".rstrip()
     return [f"motion  {words}", f"error   {error}", f"control {_control(controller)}"]
 
 

@@ -93,7 +93,8 @@ def simulate(
     """
     _freeze_existing_objects()
     scenario = run_config.scenario
-    log = _Log(RunMetrics(run_config.vehicle, fence=run_config.fence), writer, keep)
+    metrics = RunMetrics(run_config.vehicle, fence=run_config.fence, in_places=run_config.reference.in_places)
+    log = _Log(metrics, writer, keep)
     recorded = writer is not None
     lockstep = LockStep(
         nodes or make_nodes(run_config, publish_unread_topics=recorded),

@@ -15,7 +15,8 @@ from ltv_mpc.messages import Array
 class Positions(NamedTuple):
     """North and east (m) at the times of the estimates after t = 0, (K, 2) each, K > 0.
 
-    The truth is shifted to begin at the estimate at t = 0, so the error of the surface fix is removed.
+    The truth is that of ``true_error_m``: for a reference that begins where the vehicle is, it is shifted to begin at
+    the estimate at t = 0, so the error of the surface fix is removed.
     """
 
     t_s: Array  # (K,)

@@ -64,7 +64,7 @@ class Messages(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Summary(msgspec.Struct, frozen=True, kw_only=True):
-    """Summary of one run. Errors are drift since t = 0, except the absolute one."""
+    """Summary of one run. Drift since t = 0 does not contain the error of the fix at t = 0."""
 
     scenario: str  # its name
     mode: str  # "services" or "lockstep"
@@ -76,8 +76,10 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     duration_s: float  # vehicle time reached after t = 0
     cycles: int  # number of controller cycles
     tracking_error_m: Spread  # estimate to reference: the controller's part
-    true_error_m: Spread  # truth to reference
-    localisation_error_m: Spread  # estimate to truth: the estimator's part
+    true_error_m: Spread  # truth to reference: absolute for a reference in places, otherwise drift since t = 0
+    true_error_drift_m: Spread  # the same as drift since t = 0
+    in_places: bool  # the reference is given in places; false: it begins where the vehicle is
+    localisation_error_m: Spread  # estimate to truth, drift since t = 0: the estimator's part
     localisation_error_absolute_m: Spread  # including the error at t = 0
     further: Further
     thrust: Thrust

@@ -206,7 +206,7 @@
     if (now === null) return;
     const degrees = now.heading_rad === null ? null : (((now.heading_rad * 180) / Math.PI) % 360 + 360) % 360;
     const { plan, controller } = now; // empty while there is none
-    const since = run.values.since_s === undefined ? "" : ` since t = ${run.values.since_s} s`;
+    const since = run.values.in_places === undefined ? ` since t = ${run.values.since_s ?? 0} s` : "";
     const entries = [
       ["health", plan.health_why ? `${plan.health}: ${plan.health_why}` : plan.health || "–", plan.health && (plan.health === "nominal" ? "good" : "bad")],
       ["command authority", plan.authority || "–"],

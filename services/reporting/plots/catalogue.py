@@ -10,6 +10,10 @@ from services.reporting.plots.delays import STAGES as ROWS_OF_STAGES
 from services.reporting.plots.description import Axis, Group, Level, Plot, Series, Style
 from services.reporting.plots.vehicle_from_above import CURRENT_MPS
 
+SHIFTED = (
+    "Where the reference begins at the vehicle, the true position is shifted to start at the estimate at t = 0, and "
+    "its error is drift since then; where the reference is given in places, nothing is shifted."
+)
 NO_TIMES = "no times; none are measured in lock step"
 
 
@@ -34,7 +38,8 @@ TRACK = Plot(
     drifts=True,
     follow=("hull", "target", "horizon", "port_arrow", "starboard_arrow", "current_arrow"),
     note=(
-        "The true track is shifted to start at the estimate at t = 0, so the error of the satellite fix is removed. "
+        "Where the reference begins at the vehicle, the true track is shifted to start at the estimate at t = 0, so "
+        "the error of the satellite fix is removed. "
         "An arrow of thrust as long as the hull is the full thrust. Kept free: no centre of the vehicle within "
         "hull and margin of a zone or obstacle. Round a zone the line has the stated margin; the controller keeps 3 "
         "standard deviations of the position if they are more. Round an obstacle the lines have 3 standard deviations "
@@ -75,7 +80,7 @@ def _motion(column: str, title: str, y: Axis, colour: str = palette.ESTIMATE, **
     return Plot(name=column.rpartition("_")[0], title=title, y=y, series=series, **more)
 
 
-_SHIFTED = {"drifts": True, "note": "The true position is shifted to start at the estimate at t = 0."}
+_SHIFTED = {"drifts": True, "note": SHIFTED}
 
 NORTH = _motion(
     "north_m", "North over time", Axis("north (m)", min_span=0.1), palette.NORTH, group=Group.LINE, **_SHIFTED
@@ -101,6 +106,7 @@ TRACKING = Plot(
     name="tracking",
     title="Distance from the reference",
     y=Axis("distance (m)", min_span=0.1),
+    note=SHIFTED,
     group=Group.LINE,
     drifts=True,
     series=(

@@ -7,7 +7,7 @@ Memory is bounded for runs of any length. The tables of ``HISTORY`` grow and are
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from ltv_mpc.messages import (
@@ -28,7 +28,7 @@ from ltv_mpc.messages import (
     Truth,
 )
 from ltv_mpc.vehicle.parameters import Vehicle
-from services.recording.node_settings import VEHICLE, vehicle_of
+from services.recording.node_settings import is_in_places, vehicle_of
 from services.reporting.plots.delays import Delays
 from services.reporting.plots.distances import Distances
 from services.reporting.plots.energy import Energy
@@ -127,7 +127,7 @@ class Collector:
             Clock: self._delays.add_clock,
             LocalisationReport: self._add_report,
             FenceInForce: self._add_fence,
-            NodeSettings: self._add_settings,
+            NodeSettings: lambda settings: self.set_files(settings.files),
         }
 
     @property
@@ -139,6 +139,19 @@ class Collector:
     def true_error_m(self) -> float | None:
         """Newest distance of the vehicle from the reference; None without a known truth."""
         return self._distances.newest_m.get("true_distance")
+
+    @property
+    def since(self) -> str:
+        """Time from which the vehicle's distance counts, as text; empty where it is absolute."""
+        return "" if self._true.in_places else f"since t = {self.values.get('since_s', 0.0):g} s"
+
+    def set_files(self, files: Mapping[str, str]) -> None:
+        """Take vehicle and kind of reference from the settings files of a run or of a process."""
+        if self.vehicle is None:
+            self.set_vehicle(vehicle_of(files))
+        if is_in_places(files):
+            self._true.in_places = True
+            self.values["in_places"] = 1.0
 
     def set_vehicle(self, vehicle: Vehicle | None) -> None:
         """Set the vehicle if none is known yet."""
@@ -251,10 +264,6 @@ class Collector:
 
     def _add_fence(self, fence: FenceInForce) -> None:
         self.newest.fence = fence
-
-    def _add_settings(self, settings: NodeSettings) -> None:
-        if self.vehicle is None and VEHICLE in settings.files:
-            self.set_vehicle(vehicle_of(settings.files))
 
     def _unwrapped_deg(self, heading_rad: float) -> float:
         """Return the heading (deg) that is nearest to that of the newest estimate, so that a turn has no jump."""

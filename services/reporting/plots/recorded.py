@@ -83,8 +83,8 @@ def read(recording: Path, *, rows: int = ROWS) -> PlotData:
                 continue
             if collector is None or acceptance is None:
                 start_ns = stored.t_ns if metadata.get("mode") == VEHICLE_MODE else 0
-                vehicle = vehicle_of(metadata)
-                collector, acceptance = Collector(vehicle, rows=rows, origin_ns=start_ns), Acceptance(vehicle)
+                collector, acceptance = Collector(rows=rows, origin_ns=start_ns), Acceptance(vehicle_of(metadata))
+                collector.set_files(metadata)
             for message, header, _ in acceptance.take(stored, SHOWN, passes):
                 collector.add(message, header.epoch)
                 safety.add(message, header.epoch)
@@ -92,7 +92,7 @@ def read(recording: Path, *, rows: int = ROWS) -> PlotData:
                     files |= message.files
     metadata = {**files, **metadata}
     collector = collector or Collector(rows=rows)
-    collector.set_vehicle(vehicle_of(metadata))
+    collector.set_files(metadata)
     return PlotData(
         tables=analysis.tables(collector.all_tables()),
         values=collector.values,

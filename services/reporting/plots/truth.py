@@ -1,4 +1,4 @@
-"""True track as plotted: from t = 0, shifted so that it starts at the estimate.
+"""True track as plotted: from t = 0; where the reference begins at the vehicle, shifted to start at the estimate.
 
 With truth p(t) and estimate e(t), the plotted error is (e(t) - e(0)) - (p(t) - p(0)), as in summary.json: a satellite
 fix is metres off, and later errors are drift from there.
@@ -21,6 +21,7 @@ class TrueTrack:
     """Buffer of the newest true states, with the estimation error at the start."""
 
     def __init__(self) -> None:
+        self.in_places = False  # the reference is given in places: nothing is shifted
         self.start_error: Pair | None = None  # estimate minus truth
         self.start_ns = 0  # time of the start error
         self._start_covariance: Array | None = None
@@ -58,7 +59,8 @@ class TrueTrack:
         """Return north, east (m) of a true state as plotted; None before the start."""
         if self.start_error is None:
             return None
-        return truth.position_m[0] + self.start_error[0], truth.position_m[1] + self.start_error[1]
+        north_m, east_m = (0.0, 0.0) if self.in_places else self.start_error
+        return truth.position_m[0] + north_m, truth.position_m[1] + east_m
 
     def error(self, estimate: Estimate) -> Pair | None:
         """Return north, east (m) of the drift of the estimate since the start; None before it."""

@@ -27,19 +27,19 @@ import numpy as np
 
 from ltv_mpc.control.config import ControllerConfig, ResolvedConfig
 from ltv_mpc.control.controller import Controller
-from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.control.ocp.problem import Problem
 from ltv_mpc.control.problem_data import CHANGES, COMMANDS
+from ltv_mpc.control.scaling import thrust_scale
 from ltv_mpc.control.solvers import Solver, SolverFactory, make
 from ltv_mpc.control.solvers.recorder import RecordingSolver
 from ltv_mpc.messages import Array, Estimate, Plan, SolveStatus
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.runtime.stage_timer import StageTimer
 from services.tools.profile.piqp_yardstick import PiqpYardstick
-from services.tools.profile.problems import Episode, length_s, seconds
+from services.tools.profile.problems import Episode, length_s
 
-STAGES = ("predict", "linearise", "build", "update", "solve", "read")
+STAGES = ("predict", "linearise", "build", "solve", "read")
 
 EXACT = 1e-10
 """Tolerance of the solution that thrusts are compared with: four orders below what is compared."""
@@ -181,7 +181,7 @@ class _MeasuredController:
         parts = episode.vehicle, episode.reference, episode.config
         self.controller = Controller(*parts, make_solver=self._make_recorded, stopwatch=self.timer)
         self._into = into
-        self._largest_N = HorizonLimits.from_vehicle(episode.vehicle, seconds(1)).thrust_scale
+        self._largest_N = thrust_scale(episode.vehicle)
         self._cycle_us = self._repeated_us = self.flushed_us = 0.0
         self._stage_us: dict[str, float] = {}
 
@@ -232,8 +232,5 @@ class _Exact:
         """Return states and inputs (N+1, 12) of the problem; the last problem's solution is kept."""
         along = problem.f.tobytes() + problem.h.tobytes() + problem.low.tobytes()
         if along != self._along:
-            solver = PiqpYardstick(EXACT)
-            solver.build(problem)
-            solver.update()
-            self._along, self._z = along, solver.solve().z
+            self._along, self._z = along, PiqpYardstick(EXACT).solve(problem, 0.0).z
         return self._z

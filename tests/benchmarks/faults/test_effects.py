@@ -27,6 +27,7 @@ from benchmarks.faults.message_faults import (
 from benchmarks.faults.sensor_faults import READINGS, Failure, FaultySensors, SensorFault
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.node import ControllerNode
+from ltv_mpc.control.ocp.problem import Problem
 from ltv_mpc.control.solvers.interface import Result
 from ltv_mpc.messages import (
     Action,
@@ -211,10 +212,11 @@ def test_garbage_is_anything_within_its_range_and_an_intermittent_sensor_comes_a
 
 
 class Good:
-    def solve(self) -> Result:
+    def solve(self, problem: Problem, shift: float, *, last: bool = True) -> Result:  # noqa: ARG002
         return GOOD
 
 
+PROBLEM = Problem.empty(1, 1, 1, 0)
 GOOD = Result(np.ones((3, 2)), Solve(status=SolveStatus.SOLVED))
 
 
@@ -225,13 +227,13 @@ def test_a_faulty_solver_gives_no_finite_command_in_its_interval(fault: SolverFa
     now = SolverClock()
     solver = FaultySolver(Good(), [SolverFaultInterval(fault, INTERVAL)], now)
     for now.t_ns in (S - 1, 2 * S):
-        assert solver.solve() is GOOD
+        assert solver.solve(PROBLEM, 0.0) is GOOD
     now.t_ns = S
-    z, solve = solver.solve()
+    z, solve = solver.solve(PROBLEM, 0.0)
     assert np.isnan(z).all()
     assert solve.status is status
     with pytest.raises(InjectedSolverError):
-        FaultySolver(Good(), [SolverFaultInterval(SolverFault.RAISES, INTERVAL)], now).solve()
+        FaultySolver(Good(), [SolverFaultInterval(SolverFault.RAISES, INTERVAL)], now).solve(PROBLEM, 0.0)
 
 
 def test_a_new_node_goes_on_armed_and_solves_its_second_plan() -> None:

@@ -11,10 +11,10 @@ import pytest
 from ltv_mpc import Controller, ControllerConfig, Estimate, PlanOrigin, Vehicle, advance, references
 from ltv_mpc.control.config import Weights
 from ltv_mpc.control.mode import NO_DEPTH
-from ltv_mpc.control.problem_data import pack_constants
+from ltv_mpc.control.problem_data import Constants
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.vertical import VerticalPlan, follow_depth
-from ltv_mpc.errors import ConfigError
+from ltv_mpc.errors import SolverNotInstalled
 from ltv_mpc.messages import Health
 from ltv_mpc.safety.plan_gate import TOLERANCE_N
 from tests.ltv_mpc.control.flights import fly
@@ -102,7 +102,7 @@ def test_a_hold_drives_no_thruster_before_its_start_and_then_holds_its_position(
 
 
 def test_an_unknown_solver_is_rejected_by_name():
-    with pytest.raises(ConfigError, match='solver = "gurobbi"'):
+    with pytest.raises(SolverNotInstalled, match='solver = "gurobbi"'):
         Controller(PAPER, POINT, ControllerConfig(solver="gurobbi"))
 
 
@@ -118,7 +118,7 @@ def test_it_ramps_to_a_depth_and_holds_it():
 
 
 def test_on_a_ramp_that_is_too_fast_the_thruster_saturates_without_windup():
-    numbers = pack_constants(PAPER, Weights(), np.arange(18.0), 0.3)
+    numbers = Constants.of(PAPER, Weights(), np.arange(18.0))
     at, free = np.array([1.0, 0.2, 62.5, 62.5, 0.0]), np.array([-np.inf, np.inf, 0.3])
     plan = VerticalPlan(*follow_depth(numbers, at, np.full(18, 9.0), np.full(18, 0.3), free))
     np.testing.assert_array_equal(plan.thrust_N, 62.5)

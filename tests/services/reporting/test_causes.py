@@ -15,7 +15,7 @@ from benchmarks.faults.effects import Interval, NodeWrapper
 from benchmarks.faults.sensor_faults import Failure, FaultySensors, SensorFault
 from ltv_mpc import simulate
 from ltv_mpc.messages import Estimate, Message, Plan
-from ltv_mpc.node import Inbox, Node
+from ltv_mpc.node import Inbox, Node, ReceivedMessage
 from services.reporting.assessment import assessment, next_option
 from services.tools import python_run
 
@@ -56,11 +56,33 @@ class _OtherSource(NodeWrapper):
         return msgspec.structs.replace(received, message=other)
 
 
+class _LatePlans(NodeWrapper):
+    """Plant whose link stalls for 2 s of each 4 s: plans then arrive together, after their start."""
+
+    def __init__(self, node: Node) -> None:
+        super().__init__(node)
+        self._held: list[ReceivedMessage] = []
+
+    def step(self, t_ns: int, inbox: Inbox) -> Sequence[Message]:
+        plans = [received for received in inbox if isinstance(received.message, Plan)]
+        others = [received for received in inbox if received not in plans]
+        self._held += plans
+        if t_ns % 4_000_000_000 < 2_000_000_000:
+            return self._node.step(t_ns, others)
+        arrived = [msgspec.structs.replace(one, received_t_ns=max(one.received_t_ns, t_ns)) for one in self._held]
+        self._held = []
+        return self._node.step(t_ns, [*others, *arrived])
+
+
 def dropout(node: Node) -> Node:
     return FaultySensors(node, [SensorFault(Estimate, Failure.OFF, Interval(FROM_NS, 10**12), 0.0, 0)])
 
 
-FAULTS: dict[str, tuple[int, Callable[[Node], Node]]] = {"dropout": (1, dropout), "other": (0, _OtherSource)}
+FAULTS: dict[str, tuple[int, Callable[[Node], Node]]] = {
+    "dropout": (1, dropout),
+    "other": (0, _OtherSource),
+    "late": (0, _LatePlans),
+}
 """Node of a run by its place, and what replaces it."""
 
 FLOWN: dict[str, dict[str, Any]] = {}
@@ -125,6 +147,13 @@ CAUSES: dict[str, tuple[str, dict[str, Any], list[str], str | None, dict[str, An
         ["Noise of the estimate"],
         "--perfect-state",
         {"perfect_state": True},
+    ),
+    "late plans": (
+        "hover",
+        {**SHORT, "fault": "late"},
+        ["Plans that come too late", "plans came too late"],
+        None,
+        RIGHT,
     ),
     "fence": ("hover", {**SHORT, "fence": "fence.toml"}, ["The fence bounds it"], None, RIGHT),
     "dropout": ("hover", {**SHORT, "fault": "dropout"}, ["no new estimates", "dropped out"], None, RIGHT),

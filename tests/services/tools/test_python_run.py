@@ -13,6 +13,8 @@ import pytest
 from ltv_mpc import Limit, Motion, Run, simulate, solve_qp
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Array, Estimate, SolveStatus
+from services.reporting.plots import recorded
+from services.reporting.run_summary_text import verdict
 from services.tools.python_run import Table
 
 SHORT = {"seed": 3, "duration_s": 3.0}
@@ -32,6 +34,36 @@ def test_a_run_that_is_simulated_is_the_one_that_is_recorded_and_read(run: Run, 
         for name, column in run[key].items():
             if column.dtype != object:
                 np.testing.assert_array_equal(read[key][name], column, err_msg=f"{key} {name}")
+
+
+@pytest.mark.parametrize(
+    ("reference", "absolute"),
+    [
+        ('kind = "point"\nnorth_m = 5.0\neast_m = 0.0', True),
+        ('kind = "line"\nspeed_mps = 0.3\nstart = {north_m = 0, east_m = 0}\nend = {north_m = 9, east_m = 0}', True),
+        ('kind = "hold"', False),
+    ],
+)
+def test_the_error_of_the_vehicle_is_absolute_for_places_and_drift_for_here(
+    reference: str, absolute: bool, tmp_path: Path
+) -> None:
+    (tmp_path / "there.toml").write_text(reference)
+    settings = {"reference": tmp_path / "there.toml", "duration_s": 8.0, "surface_time_s": 1.0, "seed": 5}
+    run = simulate("hover", out=tmp_path / "run", **settings)
+    truth, estimate, target = run["world/truth"], run["estimate"], run["plan"]["reference_m"][-1]
+    p, e = truth["position_m"][:, :2], np.column_stack([estimate["north_m"], estimate["east_m"]])
+    fix = e[np.searchsorted(estimate["t_ns"], 0)] - p[np.searchsorted(truth["t_ns"], 0)]
+    assert np.hypot(*fix) > 1.0
+    errors = {name: run.summary[f"true_error{name}_m"]["final"] for name in ("", "_drift")}
+    away = p[-1] - np.array(target, dtype=float)
+    assert errors["_drift"] == pytest.approx(np.hypot(*(away + fix)), abs=0.2)
+    assert errors[""] == pytest.approx(np.hypot(*(away if absolute else away + fix)), abs=0.2)
+    assert run.summary["in_places"] == absolute
+    drawn = recorded.read(tmp_path / "run" / "run.mcap").tables["true_distance"]["distance_m"][-1]
+    assert drawn == pytest.approx(errors[""], abs=0.2)
+    text = verdict(run.summary, tmp_path)
+    assert ("vehicle from it, absolute" in text) == absolute
+    assert "vehicle from it, since t = 0" in text
 
 
 def test_arrays_have_an_index_over_messages_and_names_have_units(run: Run) -> None:

@@ -80,13 +80,18 @@ def feed(metrics: RunMetrics, *signals: object, epoch: int = 1, sequence: int = 
         metrics.observe(signal, epoch=epoch, sequence=sequence, t_ns=t_ns)  # type: ignore[arg-type]
 
 
-def test_errors_are_drift_since_the_descent_began_and_the_absolute_one_is_not(metrics: RunMetrics) -> None:
+@pytest.mark.parametrize("in_places", [False, True])
+def test_errors_are_drift_since_the_descent_began_but_of_places_and_the_absolute_one(
+    vehicle: Vehicle, in_places: bool
+) -> None:
     """The fix at the surface is (10, -4) off. Then the truth drifts by (0, 4), the estimate by (3, 4)."""
+    metrics = RunMetrics(vehicle, in_places=in_places)
     feed(metrics, truth(0, 100.0, 200.0), estimate(0, 110.0, 196.0), plan(0, reference_m=(110.0, 196.0)))
     feed(metrics, truth(S, 100.0, 204.0), estimate(S, 113.0, 200.0))
-    tracking, true, localisation, absolute = metrics.track.errors()
+    tracking, true, localisation, absolute, true_drift = metrics.track.errors()
     assert tracking.final == pytest.approx(5.0)  # the estimate is (3, 4) off the line
-    assert true.final == pytest.approx(4.0)  # the truth has left its own start by (0, 4)
+    assert true_drift.final == pytest.approx(4.0)  # the truth has left its own start by (0, 4)
+    assert true.final == pytest.approx(np.hypot(-10.0, 8.0) if in_places else 4.0)
     assert localisation.final == pytest.approx(3.0)  # the estimate has drifted from the truth by (3, 0)
     assert absolute.final == pytest.approx(np.hypot(13.0, -4.0))
 
@@ -95,7 +100,7 @@ def test_mean_maximum_and_final_are_over_the_estimates_after_zero(metrics: RunMe
     feed(metrics, plan(0, reference_m=(0.0, 0.0)))
     for t_s, north_m in ((-1, 50.0), (0, 0.0), (1, 1.0), (2, 6.0), (3, 2.0)):
         feed(metrics, truth(t_s * S), estimate(t_s * S, north_m, 0.0))
-    tracking, _, _, _ = metrics.track.errors()
+    tracking = metrics.track.errors().tracking
     assert (tracking.mean, tracking.max, tracking.final) == pytest.approx((3.0, 6.0, 2.0))
 
 
@@ -103,7 +108,7 @@ def test_depth_is_in_no_error(metrics: RunMetrics) -> None:
     feed(metrics, plan(0, reference_m=(0.0, 0.0)))
     for t_s in (0, 1):
         feed(metrics, truth(t_s * S, position_m=(0.0, 0.0, 20.0 * t_s)), estimate(t_s * S))
-    assert [error.max for error in metrics.track.errors()] == [0.0, 0.0, 0.0, 0.0]
+    assert [error.max for error in metrics.track.errors()] == [0.0] * 5
 
 
 def test_the_truth_at_an_estimates_time_is_interpolated(metrics: RunMetrics) -> None:

@@ -16,6 +16,7 @@ import pytest
 from ltv_mpc.control.config import MotionLimits
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.control.ocp.problem import Problem
+from ltv_mpc.control.solvers.interface import Result
 from ltv_mpc.control.solvers.recorder import RecordingSolver
 from ltv_mpc.messages import Applied, CycleTiming, Estimate, Message, Plan, SolveStatus
 from ltv_mpc.node import Cycle, Inbox, Node
@@ -126,13 +127,13 @@ def test_stages_are_parts_of_the_cycle_and_ratios_to_piqp_at_the_same_horizon(
 def test_every_candidate_has_the_same_problem_in_an_order_that_changes(monkeypatch: pytest.MonkeyPatch) -> None:
     """Also the one that cannot converge, whose own plans would lead it elsewhere."""
     asked: list[tuple[object, bytes]] = []
-    build = RecordingSolver.build
+    solve = RecordingSolver.solve
 
-    def noted(self: Any, problem: Problem) -> None:
+    def noted(self: Any, problem: Problem, shift: float, *, last: bool = True) -> Result:
         asked.append((self, problem.f.tobytes() + problem.h.tobytes()))
-        build(self, problem)
+        return solve(self, problem, shift, last=last)
 
-    monkeypatch.setattr(RecordingSolver, "build", noted)
+    monkeypatch.setattr(RecordingSolver, "solve", noted)
     episode = problems.simulated(6, 20, seed=3)[0]
     assert episode.cycles == 10
     measured([episode._replace(config=msgspec.structs.replace(episode.config, tolerance=1e-1))], OSQP, PIQP)
