@@ -29,16 +29,13 @@ from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter.state import grid
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors import fitted
-from ltv_mpc.messages import Plan, Truth
-from ltv_mpc.node import ReceivedMessage
+from ltv_mpc.messages import Message, Plan, Truth
 from ltv_mpc.references import Hold, Point
-from services.run.nodes import make_nodes
 from services.run.run_config import Override, RunConfig, resolve
 from services.tools import lockstep_run
 from services.tools.batch.executor import run_each
 from sim.evaluation.cramer_rao_bound import Trajectory, bound
 from sim.scenario import MAX_ESTIMATOR_CELLS
-from sim.scheduler import LockStep, Observation
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -170,14 +167,15 @@ class Flight(NamedTuple):
 
 
 class _Track:
-    """Observer of a simulated dive."""
+    """True track of a simulated dive, and whether its path is complete."""
 
     def __init__(self) -> None:
         self.truths: list[Truth] = []
         self.complete = False
 
-    def published(self, node: str, message: ReceivedMessage) -> None:  # noqa: ARG002  (the type implies the node)
-        match message.message:
+    def keep(self, message: Message) -> None:
+        """Take a message of the dive."""
+        match message:
             case Truth() as truth if truth.t_ns % TRACK_NS == 0:
                 self.truths.append(truth)
             case Plan(progress=progress):
@@ -191,17 +189,7 @@ def fly(dive: Dive) -> Flight:
     """
     run_config = dive.run_config()
     scenario, track = run_config.scenario, _Track()
-    lockstep = LockStep(
-        make_nodes(run_config, publish_unread_topics=False),
-        start_ns=scenario.start_ns,
-        compute_delay_ns=round(scenario.run.compute_delay_s * 1e9),
-        observation=Observation(track, types=frozenset({Truth, Plan})),
-        latest=lockstep_run.LATEST,
-    )
-    for t_ns in (*range(scenario.start_ns, scenario.end_ns, 1_000_000_000), scenario.end_ns):
-        lockstep.advance(t_ns)
-        if track.complete and dive.duration_s is None:
-            break
+    lockstep_run.simulate(run_config, keep=track.keep, stop=lambda: track.complete and dive.duration_s is None)
     position = np.array([truth.position_m for truth in track.truths])
     config = deep_enough(scenario.estimator, float(position[:, 2].max()), run_config.sensor_config.adcp.range_m)
     trajectory = Trajectory(
