@@ -8,6 +8,7 @@ from collections.abc import Mapping
 
 import msgspec
 
+from ltv_mpc.errors import with_reason
 from ltv_mpc.messages import FilterStatus, Health, LocalisationReport, Message, NodeStatus, Plan
 from services.supervisor.screen import in_order
 
@@ -56,12 +57,12 @@ class RunSafety:
         """Count a message; ``epoch`` is the one of its sender."""
         match message:
             case Plan():
-                self._health[_with_reason(message.health.value, message.health_why)] += 1
+                self._health[with_reason(message.health.value, message.health_why)] += 1
                 self._authority[message.authority.value] += 1
                 self._origin[message.origin.value] += 1
                 self._add_fence(message)
             case LocalisationReport():
-                self._filter[_with_reason(message.status.value, message.why)] += 1
+                self._filter[with_reason(message.status.value, message.why)] += 1
             case NodeStatus():
                 self._add_status(message, epoch)
 
@@ -117,10 +118,6 @@ def process_state(status: NodeStatus) -> str:
     if status.finished:
         return "finished"
     return f"waits for {status.waiting_for}" if status.waiting_for else "running"
-
-
-def _with_reason(value: str, why: str) -> str:
-    return f"{value}: {why}" if why else value
 
 
 def _shares(counts: Mapping[str, int]) -> str:
