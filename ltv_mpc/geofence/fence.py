@@ -90,9 +90,7 @@ class Fence(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         if path.lower().endswith(GEOJSON):
             return cls.from_geojson(config.read_text(Path(path), what="fence"), source, notes)
         table = fence_files.read(Path(path), source, [] if notes is None else notes, origin)
-        if table is None:
-            table = config.read_toml(Path(path), what="fence")
-        return config.parse(table, cls, source=source)
+        return config.parse(table or config.read_toml(Path(path), what="fence"), cls, source=source)
 
     @classmethod
     def from_geojson(cls, text: str, source: str = "fence", notes: list[str] | None = None) -> Fence:
