@@ -46,6 +46,7 @@ def read_table(
     what: str,
     source: str,
     optional: Sequence[str] = (),
+    meanings: Mapping[str, str] | None = None,
     may_be_nan: Collection[str] = (),
     least: Row | None = None,
 ) -> dict[int, Row]:
@@ -58,6 +59,7 @@ def read_table(
     what : kind of the file, for an error if it cannot be read.
     source : name of the file in all other errors.
     optional : names of the columns that are read if they are there.
+    meanings : text behind the error about a missing column, by its name.
     may_be_nan : columns in which NaN, NA and an empty cell are numbers.
     least : smallest numbers by column, where they differ from ``BOUNDS``.
 
@@ -75,8 +77,9 @@ def read_table(
     for name in needed:
         if name not in names:
             all_names = " or ".join(", ".join(one) for one in alternatives)
-            wanted = f"the header must name {all_names}, separated by commas, semicolons or tabs"
-            raise ConfigError(source, f"line {line}", f"missing column {name}; {wanted}")
+            names_wanted = f"; the header must name {all_names}, separated by commas, semicolons or tabs"
+            known = (meanings or {}).get(name) or names_wanted
+            raise ConfigError(source, f"line {line}", f"missing column {name}{known}")
     used = dict.fromkeys([*needed, *(name for name in optional if name in names)])
     for name in used:
         if names.count(name) > 1:

@@ -26,6 +26,11 @@ from ltv_mpc.messages import Array, CurrentProfile
 
 COLUMNS = ("depth_m", "v_north_mps", "u_east_mps")
 SD, SD_COMMON = "sd_mps", "sd_common_mps"
+_MEANINGS = {
+    SD: ": a prior needs it (standard deviation at each depth)",
+    SD_COMMON: ": a prior needs it (standard deviation of the part that all depths share, the same in every row; 0 for "
+    "none)",
+}
 
 
 def grid_depths(deepest_m: float, cell_m: float) -> Array:
@@ -109,6 +114,7 @@ def _read(path: Path, *, of_prior: bool, notes: list[str] | None) -> list[Any]:
         what="currents",
         source=source,
         optional=(SD,),
+        meanings=_MEANINGS,
         may_be_nan=(*velocities, SD, SD_COMMON),
     )
     rows, changed = list(table.items()), []

@@ -96,7 +96,7 @@ PRIOR = "depth_m,v_north_mps,u_east_mps,sd_mps,sd_common_mps\n"
 @pytest.mark.parametrize(
     ("reader", "content", "words"),
     [
-        (read_prior, GOOD, ["line 1", "missing column sd_mps", "sd_mps, sd_common_mps, separated"]),
+        (read_prior, GOOD, ["line 1", "missing column sd_mps", "a prior needs it"]),
         (read_prior, PRIOR + "0,0,0,0.1,0.05\n1,0,0,0.1,0.04\n", ["line 3 sd_common_mps = 0.04", "0.05 m/s"]),
         (read_prior, PRIOR + "0,0,0,0.1,0.05\n1,0,0,0.04,0.05\n", ["line 3 sd_common_mps = 0.05", "<= sd_mps = 0.04"]),
         (read_prior, PRIOR + "0,0,0,11,0\n", ["line 2 sd_mps = 11", "<= 10 m/s"]),
