@@ -80,6 +80,7 @@ LEFT, MIDDLE, RIGHT = square(0.0, 0.0), square(0.0, 0.0005), square(0.0, 0.002)
     [
         (None, 0.0025),  # a plan
         ((0, 0, 0), 0.0025),  # a plan that QGroundControl has sent
+        ((0, 0), 0.0015),  # half of each is common to both
         ((1, 2, 3), 0.0025),
         ((1, 1, 2), 0.0015),  # the common half of the first two, or the last one
         ((1, 1, 1), 0.0025),  # no common area
@@ -89,7 +90,7 @@ def test_the_vehicle_is_inside_all_inclusion_zones_of_any_group(
     tmp_path: Path, groups: tuple[int, ...] | None, width_deg: float
 ) -> None:
     shapely = pytest.importorskip("shapely")
-    rings = (LEFT, MIDDLE, RIGHT)
+    rings = (LEFT, MIDDLE, RIGHT)[: 3 if groups is None else len(groups)]
     if groups is None:
         (tmp_path / "f.plan").write_text(plan([(True, ring) for ring in rings], []))
     else:
