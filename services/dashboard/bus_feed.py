@@ -137,7 +137,7 @@ class BusFeed:
         """Return the current status."""
         clock, controller = self._of(Clock), self._of(ControllerStatus)
         plan, estimate, applied = self.collector.newest.plan, self.collector.newest.estimate, self._of(Applied)
-        t_ns, since_ns = self.t_ns(), self.collector.marks.since_ns.get("health")
+        t_ns = self.t_ns()
         ages = {
             "estimate": _age(t_ns, None if estimate is None else estimate.t_ns),
             "plan": _age(t_ns, None if plan is None else plan.cycle_t_ns),
@@ -155,7 +155,7 @@ class BusFeed:
             speed=1.0 if clock is None else clock.speed_num / clock.speed_den,
             requested_speed=1.0 if clock is None else clock.requested_speed,
             plan={} if plan is None else {name: getattr(plan, name) for name in OF_PLAN},
-            health_s=None if since_ns is None else self.collector.seconds(since_ns),
+            health_s=self.collector.marks.since_s.get("health"),
             controller={} if controller is None else {name: getattr(controller, name) for name in OF_CONTROLLER},
             error_m=self.collector.error_m,
             true_error_m=self.collector.true_error_m,

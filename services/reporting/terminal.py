@@ -198,8 +198,8 @@ def _progress(view: LiveView) -> str:
 
 def _motion(view: LiveView, collector: Collector) -> list[str]:
     """Return where the vehicle is by its estimate, how far from the reference, and who controls it in which health."""
-    estimate, controller, since_ns = view.estimate, view.controller, collector.marks.since_ns.get("health")
-    lasts = "" if since_ns is None else f", {max(view.t_ns - since_ns, 0) / 1e9:.0f} s"
+    estimate, controller, since_s = view.estimate, view.controller, collector.marks.since_s.get("health")
+    lasts = "" if since_s is None else f", {max(collector.seconds(view.t_ns) - since_s, 0.0):.0f} s"
     if estimate is None:
         return ["motion  no estimate yet", "error   -", *_control(controller, lasts)]
     depth = "" if estimate.depth_m is None else f"depth {round(estimate.depth_m, 2) + 0.0:.2f} m   "
@@ -219,10 +219,9 @@ def _motion(view: LiveView, collector: Collector) -> list[str]:
 def _control(controller: ControllerStatus | None, lasts: str) -> list[str]:
     if controller is None:
         return ["control no status of a controller yet"]
-    why = [f"why     {controller.health_why}{lasts}"] if controller.health_why else []
-    progress = "" if controller.progress is None else f"   progress {100 * controller.progress:.0f} %"
-    state = f"{controller.authority}   {controller.health}{'   arrived' if controller.arrived else progress}"
-    return [f"control {state}", *why]
+    way = "" if controller.progress is None else f"   progress {100 * controller.progress:.0f} %"
+    state = f"control {controller.authority}   {controller.health}{'   arrived' if controller.arrived else way}"
+    return [state, f"why     {controller.health_why}{lasts}"] if controller.health_why else [state]
 
 
 def _localisation(view: LiveView) -> list[str]:

@@ -40,8 +40,8 @@ class Marks:
         self.marks: list[Mark] = []
         self.omitted = 0
         self._states = {"health": Health.NOMINAL.value, "filter": FilterStatus.NOMINAL.value}
-        self.since_ns: dict[str, int] = {}
-        """Vehicle time at which health, authority and others took their newest value."""
+        self.since_s: dict[str, float] = {}
+        """Time at which health, authority and others took their newest value."""
         self._epochs: dict[str, int] = {}
         self._commands: dict[int, tuple[Command, int]] = {}  # with the epoch of the sender, by identifier
         self._simulator: int | None = None  # epoch of the simulated vehicle
@@ -80,7 +80,7 @@ class Marks:
         if self._states.get(what) != state:
             if what in self._states:
                 self._append(t_ns, node, f"{what}: {state}{_because(why)}")
-            self._states[what], self.since_ns[what] = state, t_ns
+            self._states[what], self.since_s[what] = state, self._seconds(t_ns)
 
     def _add_acknowledgement(self, answer: Acknowledgement) -> None:
         command, epoch = self._commands.pop(answer.command_id, (None, None))
