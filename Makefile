@@ -75,8 +75,9 @@ docs: .venv/docs  ## the site in build/docs, from docs/ and the docstrings; ever
 	$(BIN)/python -P -m sphinx -W --keep-going -E -q -b html -d build/doctrees docs build/docs
 	@echo build/docs/index.html
 
-package: .venv/installed  ## the wheel in dist/, tried in an empty environment of each Python that is here
+package: .venv/installed  ## the wheel in dist/, tried in empty environments, a bare Debian and for arm64
 	$(BIN)/python -m tests.package.trial
+	BARE_DEBIAN=1 $(BIN)/pytest -q tests/package/test_containerfile.py
 
 # The wheel gets its version before the tag exists; the tag comes last, when everything has passed.
 release: setup  ## check VERSION and changelog, run test, docs and package, and tag; nothing is uploaded

@@ -1,9 +1,15 @@
-"""Many runs of a benchmark on this machine's cores, with a progress bar; a lock-step run as a job of them."""
+"""Many runs of a benchmark on this machine's cores, with a progress bar; a lock-step run as a job of them.
+
+Results with arrays are kept as lists in a store; ``decode`` makes arrays of them again.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar, get_args
+
+import msgspec
+import numpy as np
 
 from services.reporting.terminal import progress_bar
 from services.run.run_config import Override, RunConfig, resolve
@@ -53,6 +59,16 @@ def keep_each(
     keys, done = list(missing), len(jobs) - len(missing)
     with progress_bar(f"{len(jobs)} runs") as progress:
         for place, result in run_each(work, list(missing.values()), workers=workers):
-            store.append(keys[place], result)
+            store.append(keys[place], as_plain(result))
             done += 1
             progress(done / len(jobs))
+
+
+def as_plain(result: Any) -> Any:
+    """Return a result as plain values, an array as a list."""
+    return msgspec.to_builtins(result, enc_hook=lambda array: array.tolist())
+
+
+def decode(plain: Any, kind: type[R]) -> R:
+    """Return plain values of a store as the result of type ``kind`` that they were."""
+    return msgspec.convert(plain, kind, dec_hook=lambda of, value: np.array(value, dtype=get_args(get_args(of)[1])[0]))

@@ -11,8 +11,9 @@ as of libraries, are not included: other programs share them, so their size depe
              sequence numbers; in each quarter of the vehicle's time
 
 Exit 1 where memory grew by more than 2 MB and 2 % of it (the recorder: by what the index of its chunks takes on top,
-30 MB an hour), a process has more handles or threads in its last quarter than ever in its second, or a last quarter
-missed more than twice what the second and third did, and more than five.
+30 MB an hour; the supervisor: by the tracks of the summary, 20 MB an hour of the vehicle), a process has more handles
+or threads in its last quarter than ever in its second, or a last quarter missed more than
+twice what the second and third did, and more than five.
 """
 
 from __future__ import annotations
@@ -36,11 +37,13 @@ from services.recording.loss_accounting import LossAccounting
 from services.recording.reader import Recording
 
 MOST_GROWTH_MB, MOST_GROWTH = 2.0, 0.02
-INDEX_MB_PER_HOUR = 30.0
-"""Growth of the recorder: mcap's writer keeps an entry for each chunk until the end (docs/notes/libraries.md)."""
+INDEX_MB_PER_HOUR, TRACKS_MB_PER_HOUR = 30.0, 20.0
+"""Growth of the recorder: mcap's writer keeps an entry for each chunk until the end (docs/notes/libraries.md). Growth
+of the supervisor in an hour of the vehicle: positions and commands, of which the summary is made.
+"""
 FEW = 5
 QUARTERS = 4
-RECORDER = "ltv-recorder"
+RECORDER, SUPERVISOR = "ltv-recorder", "supervisor"
 
 
 class Look(NamedTuple):
@@ -79,14 +82,15 @@ def watch(supervisor: subprocess.Popen[bytes], wall_s: float, every_s: float) ->
     return {f"{name} {pid}": looks[pid] for pid, name in names.items()}
 
 
-def is_flat(process: str, looks: Sequence[Look], wall_s: float) -> bool:
+def is_flat(process: str, looks: Sequence[Look], wall_s: float, speed: float) -> bool:
     """Print the figures of a process by quarters of the run; return False if it has grown."""
     quarters = [[one for one in looks if int(QUARTERS * one.at_s / wall_s) == k] for k in range(QUARTERS)]
     memory = [float(np.median([one.memory_mb for one in of])) if of else float("nan") for of in quarters]
     handles, threads = ([max((one[i] for one in of), default=0) for of in quarters] for i in (2, 3))
     allowed_mb = max(MOST_GROWTH_MB, MOST_GROWTH * memory[1])
-    if process.startswith(RECORDER):
-        allowed_mb += INDEX_MB_PER_HOUR * wall_s / 3600.0 / 2  # medians of two quarters that lie half a run apart
+    per_hour = {RECORDER: INDEX_MB_PER_HOUR, SUPERVISOR: TRACKS_MB_PER_HOUR * speed}
+    # Medians of two quarters that lie half a run apart.
+    allowed_mb += per_hour.get(process.partition(" ")[0], 0.0) * wall_s / 3600.0 / 2
     lasting = all(quarters[1:])  # else it was started or ended in between
     grew = memory[-1] - memory[1] > allowed_mb or handles[-1] > handles[1] or threads[-1] > threads[1]
     flat = not (lasting and grew)
@@ -137,7 +141,7 @@ def main() -> int:
             return 1
         quarters = missed(out / "run.mcap")
     print(f"{'process':<26}{'MB, median by quarter':>36} {'handles':>20} {'threads':>20}")
-    flat = {is_flat(name, seen, wall_s) for name, seen in looks.items()} == {True}  # prints all
+    flat = {is_flat(name, seen, wall_s, of.speed) for name, seen in looks.items()} == {True}  # prints all
     for name, counts in quarters.items():
         print(f"{name:<26}{' '.join(f'{count:8d}' for count in counts):>36}")
     of_all = sum(counts for name, counts in quarters.items() if name != "cycles")

@@ -26,6 +26,16 @@ MAX_FILE_BYTES = 1 << 20
 MAX_NESTING = 10
 """Largest depth of nested tables and lists. No settings file needs more, and their traversal is recursive."""
 
+FOREIGN = {
+    ".kml": "KML",
+    ".kmz": "KML",
+    ".gml": "GML",
+    ".dxf": "DXF",
+    ".shp": "a shapefile",
+    ".gpkg": "a GeoPackage",
+}
+"""Kinds of files of maps, by their suffix, that GDAL's ogr2ogr converts."""
+
 TOO_DEEP = f"tables and lists inside one another: at most {MAX_NESTING} deep"
 
 
@@ -67,8 +77,6 @@ def read_toml(path: Path, *, what: str) -> dict[str, Any]:
         If the file cannot be read or is not valid TOML.
     """
     source = f"{what} {path}"
-    if path.suffix.lower() in (".kml", ".kmz"):
-        raise ConfigError(source, "", f"is KML: convert it, as with ogr2ogr {path.stem}.geojson {path.name}")
     text = read_text(path, what=what)
     try:
         return loads(text)
@@ -113,6 +121,8 @@ def read_text(path: Path, *, what: str) -> str:
         If the file is missing, no regular file, too large, empty, or no UTF-8 text. The error says what to do.
     """
     source = f"{what} {path}"
+    if foreign := FOREIGN.get(path.suffix.lower()):
+        raise ConfigError(source, "", f"is {foreign}: convert it, as with ogr2ogr {path.stem}.geojson {path.name}")
     content = read_bytes(path, what=what)
     try:
         text = content.decode("utf-8-sig")

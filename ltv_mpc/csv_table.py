@@ -60,7 +60,7 @@ def read_table(
     source : name of the file in all other errors.
     optional : names of the columns that are read if they are there.
     meanings : text behind the error about a missing column, by its name.
-    may_be_nan : columns in which NaN and NA are numbers.
+    may_be_nan : columns in which NaN, NA and an empty cell are numbers.
     least : smallest numbers by column, where they differ from ``BOUNDS``.
 
     Raises
@@ -91,7 +91,7 @@ def read_table(
         cells = _cells(text, separator)
         if any(cells[len(names) :]):
             problem = f"has {len(cells)} cells, the header names {len(names)} columns: "
-            if len(cells) == 2 * len(names) or ";" in text:
+            if separator == "," and (len(cells) == 2 * len(names) or ";" in text):
                 problem += "decimal commas need cells and names separated by semicolons or tabs"
             else:
                 problem += "name each of them (write.table of R needs row.names = FALSE); decimals need points"
@@ -154,7 +154,7 @@ def _number(cells: Sequence[str], position: int, field: str, separator: str, sou
     cell, number = cells[position], math.nan
     with contextlib.suppress(ValueError):
         number = float(cell if separator == "," else cell.replace(",", "."))
-    is_gap = may_be_nan and cell.lower() in ("nan", "na")
+    is_gap = may_be_nan and cell.lower() in ("nan", "na", "")
     if "_" in cell or not (math.isfinite(number) or is_gap):  # Python reads 1_0 as ten
         raise ConfigError(source, field, "must be a number, and finite", value=cell[:40])
     return number

@@ -32,6 +32,11 @@ _MEANINGS = {
 }
 
 
+def grid_depths(deepest_m: float, cell_m: float) -> Array:
+    """Return the depths (m) of a profile with equal cells: 0, h, 2h, ... to the first at or below ``deepest_m``."""
+    return cell_m * np.arange(math.ceil(deepest_m / cell_m - 1e-9) + 1, dtype=np.float64)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WaterPrior:
     """Prior knowledge of the current before a dive (m/s, NED) at K strictly increasing depths; arrays (K,).

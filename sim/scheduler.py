@@ -70,36 +70,13 @@ class Observation(NamedTuple):
 NO_OBSERVATION = Observation()
 
 
-class Delivery(NamedTuple):
-    """Copy of a message that a transport delivers to one reader."""
-
-    at_ns: int
-    message: ReceivedMessage
-    payload: bytes | None = None  # bytes that arrive instead of the message
-
-
-class Transport(Protocol):
-    """Carrier of all messages between nodes, in the place of the bus between processes.
-
-    Without a transport a message arrives as published and is checked by validation only.
-    """
-
-    def carry(self, writer: str, reader: str, message: ReceivedMessage) -> Sequence[Delivery]:
-        """Return the deliveries that a message published at ``message.received_t_ns`` leads to; none: it is lost."""
-        ...
-
-    def receive(self, reader: str, delivery: Delivery) -> ReceivedMessage | str:
-        """Return the message if the reader accepts it, else the reason for its rejection."""
-        ...
-
-
 def rejected_by_type_name(node: str, message: ReceivedMessage, reason: str) -> RejectedFrame:
     """Return the rejection of a message that has no frame: its type for the key, and neither crc nor payload."""
     kind = type(message.message).__name__
     return RejectedFrame(t_ns=message.received_t_ns, node=node, key=kind, reason=reason, crc=0, payload_base64="")
 
 
-_PENDING = -1
+PENDING = -1
 """Place of a pending delivery: before the steps of its instant."""
 
 
@@ -156,7 +133,6 @@ class LockStep:
         observation: Observation = NO_OBSERVATION,
         latest: frozenset[type[Message]] = LATEST,
         make_rejection: MakeRejection = rejected_by_type_name,
-        transport: Transport | None = None,
     ) -> None:
         """Schedule the nodes.
 
@@ -168,12 +144,10 @@ class LockStep:
         observation : observer of messages and steps.
         latest : types of which a reader receives the newest message only.
         make_rejection : returns the message that reports a rejected one.
-        transport : carries all messages; None: they arrive as published.
         """
         self._compute_delay_ns = compute_delay_ns if callable(compute_delay_ns) else lambda _: compute_delay_ns
         self._observer, self._types, self._on_step = observation
         self._make_rejection = make_rejection
-        self._transport = transport
         self.published = 0
         """Number of messages of all nodes so far."""
         self._count = count()
@@ -210,7 +184,7 @@ class LockStep:
             outputs = [*outputs, timing_of(plan, at_ns, delay_ns)]
         if delay_ns:
             arrival_ns = at_ns + delay_ns
-            self._schedule(arrival_ns, _PENDING, partial(self._publish, node, arrival_ns, outputs))
+            self._schedule(arrival_ns, PENDING, partial(self._publish, node, arrival_ns, outputs))
         else:
             self._publish(node, at_ns, outputs)
         self._schedule_step(node, at_ns + max(node.period_ns, delay_ns))
@@ -229,20 +203,19 @@ class LockStep:
 
     def _publish(self, node: _ScheduledNode, at_ns: int, messages: Sequence[Message]) -> None:
         """Deliver the outputs of a step to their readers."""
-        transport = self._transport
         for message in messages:
             route, received = self._announce(node, message, at_ns)
-            if transport is not None:
-                for reader in route.readers:
-                    self._carry(transport, node.name, reader, received)
-            elif not route.readers:
-                continue
-            elif (reason := route.validate(message)) is None:
-                for reader in route.readers:
-                    self._deliver(reader, received)
+            if route.readers:
+                self._carry(node.name, route, received)
+
+    def _carry(self, writer: str, route: _Route, received: ReceivedMessage) -> None:  # noqa: ARG002  (faults need it)
+        """Deliver a message as published to its readers, which reject it if it is not valid."""
+        reason = route.validate(received.message)
+        for reader in route.readers:
+            if reason is None:
+                self._deliver(reader, received)
             else:
-                for reader in route.readers:
-                    self._reject(reader, received, reason, at_ns)
+                self._reject(reader, received, reason, received.received_t_ns)
 
     def _announce(self, node: _ScheduledNode, message: Message, at_ns: int) -> tuple[_Route, ReceivedMessage]:
         """Give a message its number, and tell the observer."""
@@ -259,21 +232,6 @@ class LockStep:
         if route.observer is not None:
             route.observer.published(node.name, received)
         return route, received
-
-    def _carry(self, transport: Transport, writer: str, reader: _ScheduledNode, message: ReceivedMessage) -> None:
-        for delivery in transport.carry(writer, reader.name, message):
-            arrive = partial(self._arrive, transport, reader, delivery)
-            if delivery.at_ns <= message.received_t_ns:
-                arrive(message.received_t_ns)
-            else:
-                self._schedule(delivery.at_ns, _PENDING, partial(arrive, delivery.at_ns))
-
-    def _arrive(self, transport: Transport, reader: _ScheduledNode, delivery: Delivery, at_ns: int) -> None:
-        accepted = transport.receive(reader.name, delivery)
-        if isinstance(accepted, str):
-            self._reject(reader, delivery.message, accepted, at_ns)
-        else:
-            self._deliver(reader, ReceivedMessage(accepted.message, accepted.epoch, accepted.sequence, at_ns))
 
     def _deliver(self, reader: _ScheduledNode, received: ReceivedMessage) -> None:
         if type(received.message) in reader.causes:

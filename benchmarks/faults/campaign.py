@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 
 import msgspec
 
+from benchmarks.batch import as_plain, decode
 from benchmarks.faults import draw, lockstep, process_runs, recorded
 from benchmarks.faults.draw import Pace, Run
 from benchmarks.faults.judge import Errors, FaultOutcome, errors, judge
@@ -25,7 +26,7 @@ from benchmarks.faults.kinds import ATTACKS, KINDS, NAMES, FaultClass, Place
 from ltv_mpc.errors import ConfigError
 from services.run.provenance import provenance_table
 from services.tools.batch.executor import run_each
-from services.tools.batch.results_store import ResultsStore, decode
+from services.tools.batch.results_store import ResultsStore
 from services.tools.campaign.trial import version_of
 
 SEVERAL, SEVERAL_QUICK = 8, 10
@@ -196,12 +197,12 @@ def run(
         alone = [] if of.quick or not missing else [Job(task, folder / task.name) for task in _alone(here)]
         alone = [job for job in alone if job.task.name not in store.keys]
         for place, result in run_each(make, alone, workers=workers):
-            store.append(alone[place].task.name, result)
+            store.append(alone[place].task.name, as_plain(result))
             remove(alone[place].folder)
         baselines = {} if of.quick else without_faults(store)
         jobs = [Job(task, folder / task.name, baselines.get(task.baseline)) for task in missing]
         for place, seen in run_each(make, jobs, workers=workers):
-            store.append(jobs[place].task.name, seen)
+            store.append(jobs[place].task.name, as_plain(seen))
             progress(len(jobs[place].task.run.faults))
             if not any(one.problems for one in seen):
                 remove(jobs[place].folder)

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
+from ltv_mpc.control.ocp.problem import Problem
 from ltv_mpc.control.solvers import SolverFactory, make
 from ltv_mpc.control.solvers.interface import Result, Solver
 from ltv_mpc.messages import ControllerState, Estimate, Message, Pair, Plan, Solve, SolveStatus
@@ -148,9 +149,9 @@ class FaultySolver:
     def __getattr__(self, name: str) -> Any:
         return getattr(self._solver, name)
 
-    def solve(self) -> Result:
+    def solve(self, problem: Problem, shift: float, *, last: bool = True) -> Result:
         """Return the solver's result, or that of the active fault."""
-        answer = self._solver.solve()
+        answer = self._solver.solve(problem, shift, last=last)
         for fault, interval in self._faults:
             if not interval.contains(self._now.t_ns):
                 continue

@@ -21,7 +21,7 @@ import msgspec
 from msgspec import Meta
 
 from benchmarks.faults.effects import Interval
-from benchmarks.faults.message_faults import MessageFault, MessageFaultInterval, MessageFaults
+from benchmarks.faults.message_faults import Delivery, MessageFault, MessageFaultInterval, MessageFaults
 from ltv_mpc import config
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Clock, ImuSample, ImuSamples, Message, RunEvent
@@ -38,7 +38,6 @@ from services.runtime.clock import ClockError, VehicleClock, monotonic_us
 from services.runtime.console import Console
 from services.runtime.serve import run_until_stopped
 from services.runtime.stopping import Say, StopRequest
-from sim.scheduler import Delivery
 
 NAME = "inject"
 WAIT_S = 0.05

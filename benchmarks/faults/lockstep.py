@@ -23,7 +23,13 @@ from benchmarks.faults.effects import (
 )
 from benchmarks.faults.kinds import INSTRUMENTS, MESSAGES, Fault
 from benchmarks.faults.log import INTRUDERS_EPOCH, Case, Log, Observed, lost_between
-from benchmarks.faults.message_faults import MessageFault, MessageFaultInterval, MessageFaults
+from benchmarks.faults.message_faults import (
+    Delivery,
+    FaultyLockStep,
+    MessageFault,
+    MessageFaultInterval,
+    MessageFaults,
+)
 from benchmarks.faults.own_clock import ClockStepFault, OwnClock
 from benchmarks.faults.sensor_faults import Failure, FaultySensors, SensorFault
 from ltv_mpc.messages import Disturbance, Message, Plan
@@ -37,7 +43,7 @@ from services.bus.message_validation import MessageValidator
 from services.run.nodes import make_nodes
 from services.run.run_config import Override, RunConfig, resolve
 from services.tools import lockstep_run
-from sim.scheduler import EPOCH, Delivery, LockStep, Observation
+from sim.scheduler import EPOCH, Observation
 
 T = TypeVar("T")
 SCENARIO = "hover"
@@ -126,7 +132,7 @@ class Parts:
 
 
 class Bus(MessageFaults):
-    """Message transport with the bytes, the publishers and the message validators of the bus, one a reader.
+    """Way of the messages with the bytes, the publishers and the message validators of the bus, one a reader.
 
     A second commander, a second source of estimates and a restarted controller are processes of their own.
     """
@@ -206,14 +212,14 @@ def observe(run: Run, *, tap: Callable[[Message], None] = lambda _: None) -> tup
     of = run_config(run)
     parts = Parts(run.faults, of.vehicle)
     log, bus = Log(of.vehicle, tap=tap), Bus(parts)
-    lockstep = LockStep(
+    lockstep = FaultyLockStep(
+        bus,
         parts.nodes(of),
         start_ns=of.scenario.start_ns,
         compute_delay_ns=parts.compute_delay_ns,
         observation=Observation(log, on_step=log.stepped),
         latest=lockstep_run.LATEST,
         make_rejection=lockstep_run.rejected_message,
-        transport=bus,
     )
     uncontrolled, until_ns = "", of.scenario.end_ns
     dropped: list[tuple[int, int]] = []

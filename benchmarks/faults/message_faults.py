@@ -1,8 +1,8 @@
 """Message faults: loss, delay, reordering, duplication, corruption, non-finite values, stale data and wrong stamps.
 
-``MessageFaults`` is a transport between the nodes of a lock step (``sim.scheduler.Transport``). A message passes
-through the first active fault that concerns its type; all others arrive as published. Harmed messages are counted,
-so that the readers' own counts can be compared with them.
+``MessageFaults`` carries the messages between the nodes of a ``FaultyLockStep``, in the place of the bus between
+processes. A message passes through the first active fault that concerns its type; all others arrive as published.
+Harmed messages are counted, so that the readers' own counts can be compared with them.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import enum
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import msgspec
@@ -17,9 +18,17 @@ import numpy as np
 
 from benchmarks.faults.effects import Interval
 from ltv_mpc.messages import ImuSample, ImuSamples, Message
-from ltv_mpc.node import ReceivedMessage
+from ltv_mpc.node import Node, ReceivedMessage
 from ltv_mpc.validation import bounds
-from sim.scheduler import Delivery
+from sim.scheduler import PENDING, LockStep
+
+
+class Delivery(NamedTuple):
+    """Copy of a message that reaches one reader."""
+
+    at_ns: int
+    message: ReceivedMessage
+    payload: bytes | None = None  # bytes that arrive instead of the message
 
 
 class MessageFault(enum.StrEnum):
@@ -65,7 +74,7 @@ NOT_NUMBERS = (math.nan, math.inf, -math.inf)
 
 
 class MessageFaults:
-    """Transport of one run that applies message faults."""
+    """Way of the messages of one run, with its faults."""
 
     def __init__(self, faults: Sequence[MessageFaultInterval], *, encode: Encode, receive: Admit) -> None:
         self._faults = [_Fault(fault, encode) for fault in faults]
@@ -92,6 +101,30 @@ class MessageFaults:
     def receive(self, reader: str, delivery: Delivery) -> ReceivedMessage | str:
         """Return the message if the reader accepts it, else the reason for its rejection."""
         return self._receive(reader, delivery)
+
+
+class FaultyLockStep(LockStep):
+    """Lock step whose messages take the way of ``faults``, which also decide if a reader accepts them."""
+
+    def __init__(self, faults: MessageFaults, nodes: Sequence[Node], **settings: Any) -> None:
+        super().__init__(nodes, **settings)
+        self._faults = faults
+
+    def _carry(self, writer: str, route: Any, received: ReceivedMessage) -> None:
+        for reader in route.readers:
+            for delivery in self._faults.carry(writer, reader.name, received):
+                arrive = partial(self._arrive, reader, delivery)
+                if delivery.at_ns <= received.received_t_ns:
+                    arrive(received.received_t_ns)
+                else:
+                    self._schedule(delivery.at_ns, PENDING, partial(arrive, delivery.at_ns))
+
+    def _arrive(self, reader: Any, delivery: Delivery, at_ns: int) -> None:
+        accepted = self._faults.receive(reader.name, delivery)
+        if isinstance(accepted, str):
+            self._reject(reader, delivery.message, accepted, at_ns)
+        else:
+            self._deliver(reader, ReceivedMessage(accepted.message, accepted.epoch, accepted.sequence, at_ns))
 
 
 class _Fault:

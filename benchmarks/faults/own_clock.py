@@ -12,12 +12,12 @@ from typing import NamedTuple
 import msgspec
 
 from benchmarks.faults.effects import Interval
+from benchmarks.faults.message_faults import Delivery
 from ltv_mpc.messages import Applied, Estimate, Message, Plan
 from ltv_mpc.node import ReceivedMessage
 from services.bus.time_shift import shifted
 from services.runtime.clock import VehicleClock
 from services.runtime.clock_sync import ClockSync
-from sim.scheduler import Delivery
 
 PUBLISHERS = {Estimate: 101, Applied: 102}
 """Epochs of the estimator and of the actuators, which are two processes."""

@@ -25,11 +25,11 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.batch import keep_each
+from benchmarks.batch import decode, keep_each
 from benchmarks.fences.flight import METHODS, MODELS, REPORT_S, Flown, Job, fly
 from benchmarks.fences.full_loop import DIVING
 from benchmarks.fences.scenes import scene_of
-from services.tools.batch.results_store import decode, open_store
+from services.tools.batch.results_store import open_store
 
 
 def table(found: dict[str, Flown]) -> str:

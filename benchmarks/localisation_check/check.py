@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import msgspec
 import numpy as np
 
-from benchmarks.batch import Job, keep_each
+from benchmarks.batch import Job, decode, keep_each
 from benchmarks.localisation_check.consistency import Consistency, band, consistency
 from benchmarks.localisation_check.judgement import (
     LEVEL,
@@ -23,7 +23,7 @@ from benchmarks.localisation_check.judgement import (
 )
 from benchmarks.localisation_check.probe import Record, Squares, descend
 from ltv_mpc.messages import Array
-from services.tools.batch.results_store import ResultsStore, decode
+from services.tools.batch.results_store import ResultsStore
 
 MAX_RATIO = 1.2
 """Largest drift over bound."""

@@ -20,6 +20,7 @@ from ltv_mpc.frames import rotation
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter, Innovations
 from ltv_mpc.localisation.filter.state import VELOCITY, Belief, grid
+from ltv_mpc.localisation.sensors.adcp import beam_directions
 from ltv_mpc.messages import AdcpPing, Array, Estimate, Message, Truth
 from ltv_mpc.node import Inbox, Node, ReceivedMessage
 from services.run.nodes import make_nodes
@@ -27,7 +28,7 @@ from services.run.run_config import RunConfig
 from services.tools import lockstep_run
 from sim.evaluation.cramer_rao_bound import Trajectory, bound
 from sim.scheduler import LockStep, Observation
-from sim.sensors.adcp import Profiler, beams
+from sim.sensors.adcp import Profiler
 from sim.sensors.compass import MagneticCompass
 from sim.sensors.imu import InertialUnit
 from sim.sensors.node import Sensors
@@ -149,7 +150,7 @@ class ObservedGridPoints:
         config, adcp = run_config.scenario.estimator, run_config.sensor_config.adcp
         self.mask = np.zeros(len(grid(config)), dtype=bool)
         self._cell_m = config.cell_m
-        self._beams = beams(adcp.beam_angle_rad) @ _the(Profiler, sensors.sensors).mounting.T
+        self._beams = beam_directions(adcp.beam_angle_rad) @ _the(Profiler, sensors.sensors).mounting.T
         self._lever = np.array(adcp.lever_arm_m)
 
     def add(self, ping: AdcpPing, truth: Truth) -> None:

@@ -13,12 +13,12 @@ from ltv_mpc.vehicle.parameters import Vehicle
 from services.reporting.plots.delays import CYCLE, PARTS, Percentiles, percentile_rows
 from services.tools.profile import problems
 from services.tools.profile.machine_description import Machine, load, machine
-from services.tools.profile.measure import Samples, SolverByName, measure
+from services.tools.profile.measure import Samples, measure, solver_by_name
 from services.tools.profile.run import WARM_UP, Spread
 
 VEHICLE = Vehicle.load("paper")
 SHIPPED = ControllerConfig()
-SOLVER = SolverByName(SHIPPED.solver)
+SOLVER = solver_by_name(SHIPPED.solver)
 """Solver of the shipped controller."""
 
 

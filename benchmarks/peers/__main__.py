@@ -11,15 +11,15 @@ from rich.console import Console
 from rich.progress import Progress
 
 from benchmarks.peers import known
-from benchmarks.peers.loop import Entry, Held, closed
+from benchmarks.peers.loop import Held, candidate_of, closed
 from services.tools.profile import machine_description, problems
-from services.tools.profile.measure import Candidate, SolverByName, measure
+from services.tools.profile.measure import Candidate, measure, solver_by_name
 from services.tools.profile.problems import Episode, seconds
 from services.tools.profile.run import WARM_UP, YARDSTICK, Spread
 
 OURS: dict[Candidate, str] = {
-    SolverByName("osqp"): "this project: OSQP, sparse",
-    SolverByName("riccati"): "this project: Riccati sweeps",
+    solver_by_name("osqp"): "this project: OSQP, sparse",
+    solver_by_name("riccati"): "this project: Riccati sweeps",
     YARDSTICK: "PIQP, sparse",
 }
 
@@ -46,7 +46,8 @@ def compare(stages: int, cycles: int, seeds: int, console: Console) -> str:
     peers, missing = known.installed()
     for file in missing:
         console.print(f"not installed: what benchmarks/peers/{file}.py needs (extra bench)")
-    who = OURS | {Entry(peer): peer.name for peer in peers}
+    peer_of = {candidate_of(peer): peer for peer in peers}
+    who = OURS | {candidate: candidate.name for candidate in peer_of}
     load = machine_description.load()
     with Progress(console=console) as progress:
         task = progress.add_task("time, on the same problems", total=cycles)
@@ -71,8 +72,8 @@ def compare(stages: int, cycles: int, seeds: int, console: Console) -> str:
     ]
     for (candidate, name), sample in zip(who.items(), samples, strict=True):
         solves, settings = ("QP", "defaults")
-        if isinstance(candidate, Entry):
-            solves, settings = candidate.peer.solves, candidate.peer.settings
+        if (peer := peer_of.get(candidate)) is not None:
+            solves, settings = peer.solves, peer.settings
         cycle_us, thrust_N = Spread.of(sample.cycle_us), Spread.of(sample.thrust_error_N)
         lines.append(
             f"| {name} | {solves} | {cycle_us.median / 1e3:.3g} | {cycle_us.p99 / 1e3:.3g} "

@@ -7,38 +7,33 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.peers.peer import Peer
-from ltv_mpc.control.config import ResolvedConfig
-from ltv_mpc.control.horizon_limits import HorizonLimits
+from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.node import ControllerNode
-from ltv_mpc.control.solvers import SolverFactory
+from ltv_mpc.control.problem_data import Constants
+from ltv_mpc.control.resolution import settled
 from ltv_mpc.messages import Estimate, Pair, Plan, PlanOrigin, SolveStatus
 from ltv_mpc.node import ReceivedMessage
+from ltv_mpc.vehicle.parameters import Vehicle
 from services.tools.profile.measure import Candidate
-from services.tools.profile.problems import Episode, seconds
+from services.tools.profile.problems import Episode
 
 
-@dataclass(frozen=True)
-class Entry:
-    """A peer as a candidate."""
+def candidate_of(peer: type[Peer]) -> Candidate:
+    """Return a peer as a candidate."""
 
-    peer: type[Peer]
+    def make_solver(vehicle: Vehicle, config: ControllerConfig) -> Peer:
+        resolved = settled(config, vehicle)
+        constants = Constants.of(vehicle, resolved.weights, resolved.knots, resolved.limits.state_bounds)
+        return peer(resolved, constants, vehicle)
 
-    def config(self, episode: Episode) -> ResolvedConfig:
-        """Return the episode's settings."""
-        return episode.config
-
-    def solver_factory(self, episode: Episode) -> SolverFactory:
-        """Return a factory of this peer."""
-        limits = HorizonLimits.from_vehicle(episode.vehicle, seconds(1), episode.config.limits.state_bounds)
-        return lambda vehicle, _config: self.peer(episode.config, limits, vehicle)
+    return Candidate(peer.name, make_solver)
 
 
 class Loop(ControllerNode):
     """A node that controls, and notes how far off the line the vehicle is."""
 
     def __init__(self, candidate: Candidate, episode: Episode) -> None:
-        make_solver = candidate.solver_factory(episode)
-        super().__init__(episode.vehicle, episode.reference, candidate.config(episode), make_solver=make_solver)
+        super().__init__(episode.vehicle, episode.reference, episode.config, make_solver=candidate.make_solver)
         self.off_m: list[float] = []
         self.cycles = 0
         self.unsolved = 0

@@ -8,17 +8,17 @@ start from.
 
 from __future__ import annotations
 
+import math
 from typing import ClassVar
 
 import numpy as np
 
 from ltv_mpc.control import controller
 from ltv_mpc.control.config import ResolvedConfig
-from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.lateral import LateralPlanner
 from ltv_mpc.control.linearisation import Linearisation
 from ltv_mpc.control.ocp.problem import Problem, roll_out
-from ltv_mpc.control.problem_data import CHANGES, coefficients_of
+from ltv_mpc.control.problem_data import CHANGES, Constants
 from ltv_mpc.control.solvers.interface import Result
 from ltv_mpc.messages import Array, Solve, SolveStatus
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -31,7 +31,7 @@ class _Planner(LateralPlanner):
     """The controller's planner."""
 
     def _run_solver(self, problem: Problem, shift: float, *, last: bool) -> Result:
-        _now[:] = [(self._cycle.lin, self._cycle.target[:, :2], coefficients_of(self._cycle.packed))]
+        _now[:] = [(self._cycle.lin, self._cycle.target[:, :2], self._cycle.constants.p)]
         return super()._run_solver(problem, shift, last=last)
 
 
@@ -45,7 +45,7 @@ class Peer:
     solves: ClassVar[str]
     settings: ClassVar[str]  # what differs from the tool's defaults, and why
 
-    def __init__(self, config: ResolvedConfig, limits: HorizonLimits, vehicle: Vehicle) -> None:
+    def __init__(self, config: ResolvedConfig, limits: Constants, vehicle: Vehicle) -> None:
         self.stages, self.knots = config.stages, config.knots
         self.weights = config.weights
         self.limits = limits
@@ -66,21 +66,31 @@ class Peer:
         """Coefficients of the vehicle, with what the controller has learned."""
         return _now[0][2]
 
+    def box(self) -> tuple[Array, Array]:
+        """Lower and upper bounds of the commands at the knots 1 .. N, (N, 2) each (N); a start outside returns."""
+        start, reach = self.lin.U[0], self.knots[1:, None] * self.limits.max_change
+        return np.minimum(self.limits.low, start + reach), np.maximum(self.limits.high, start - reach)
+
     def shift_warm_start(self, stages: float) -> None:
         """Shift the warm start by this number of stages."""
 
     def reset_warm_start(self) -> None:
         """Reset the warm start."""
 
-    def build(self, problem: Problem) -> None:
-        """Keep the problem."""
+    def set_up(self, problem: Problem) -> None:
+        """Nothing: peers set up in their constructor."""
+
+    def solve(self, problem: Problem, shift: float, *, last: bool = True) -> Result:  # noqa: ARG002
+        """Solve a problem of the controller (see ``Solver``)."""
         self.problem = problem
+        if math.isnan(shift):
+            self.reset_warm_start()
+        elif shift != 0.0:
+            self.shift_warm_start(shift)
+        return self.find()
 
-    def update(self) -> None:
-        """Nothing: peers set up and solve in one."""
-
-    def solve(self) -> Result:
-        """Solve what was built."""
+    def find(self) -> Result:
+        """Solve the present problem."""
         raise NotImplementedError
 
     def answer(self, following: Array | None, *, iterations: int = 0, why: str = "") -> Result:

@@ -58,13 +58,13 @@ class AcadosRti(Peer):
             self._solver.set(k, "lbu", -slew)
             self._solver.set(k, "ubu", slew)
 
-    def solve(self) -> Result:
+    def find(self) -> Result:
         """Set the data of the cycle, and take one iteration from the controller's guess."""
         lin, F, N, solver = self.lin, self.limits.thrust_scale, self.stages, self._solver
         X, changes = np.hstack([lin.X, lin.U / F]), np.diff(lin.U / F, axis=0)
         currents = np.hstack([lin.C, np.vstack([lin.C[1:], lin.C[-1:]])])
         parameters = np.hstack([currents, np.tile(self.coefficients, (N + 1, 1))])
-        low, high = (bound / F for bound in self.limits.box(lin.U[0], self.knots))
+        low, high = (bound / F for bound in self.box())
         wanted = np.zeros((N + 1, 6))
         wanted[1:, :2] = self.reference
         for k in range(N + 1):

@@ -13,7 +13,7 @@ import numpy as np
 from benchmarks.peers import symbolic
 from benchmarks.peers.peer import Peer
 from ltv_mpc.control.config import STAGE_NS, ResolvedConfig
-from ltv_mpc.control.horizon_limits import HorizonLimits
+from ltv_mpc.control.problem_data import Constants
 from ltv_mpc.control.solvers.interface import Result
 from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.flow import STATES
@@ -39,7 +39,7 @@ class CasadiIpopt(Peer):
     solves = "NLP"
     settings = "multiple shooting, MUMPS, expand, warm_start_init_point with 1e-6 pushes, mu_strategy adaptive"
 
-    def __init__(self, config: ResolvedConfig, limits: HorizonLimits, vehicle: Vehicle) -> None:
+    def __init__(self, config: ResolvedConfig, limits: Constants, vehicle: Vehicle) -> None:
         super().__init__(config, limits, vehicle)
         N, w, h = self.stages, self.weights, STAGE_NS * 1e-9
         flow = symbolic.stage(h, 1, vehicle.coefficients())
@@ -79,10 +79,10 @@ class CasadiIpopt(Peer):
             blocks = (dual[:gaps], dual[gaps:]) if name == "lam_g0" else (dual,)
             self._duals[name] = np.concatenate([block.reshape(self.stages, -1)[by].ravel() for block in blocks])
 
-    def solve(self) -> Result:
+    def find(self) -> Result:
         """Solve from the guess and the duals of the last solution."""
         lin, F, N = self.lin, self.limits.thrust_scale, self.stages
-        low, high = (bound / F for bound in self.limits.box(lin.U[0], self.knots))
+        low, high = (bound / F for bound in self.box())
         free = np.full((N, STATES), np.inf)
         found = self._solver(
             x0=np.hstack([lin.X[1:], lin.U[1:] / F]).ravel(),

@@ -15,8 +15,8 @@ from scipy.sparse import coo_array
 
 from benchmarks.peers.peer import Peer
 from ltv_mpc.control.config import ResolvedConfig
-from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import velocity_over_ground
+from ltv_mpc.control.problem_data import Constants
 from ltv_mpc.control.solvers.interface import Result
 from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.flow import STATES
@@ -30,7 +30,7 @@ class CvxpyOsqp(Peer):
     solves = "QP"
     settings = "DPP, one sparse parameter for the dynamics, warm_start=True; OSQP as cvxpy sets it"
 
-    def __init__(self, config: ResolvedConfig, limits: HorizonLimits, vehicle: Vehicle) -> None:
+    def __init__(self, config: ResolvedConfig, limits: Constants, vehicle: Vehicle) -> None:
         super().__init__(config, limits, vehicle)
         N, w = self.stages, self.weights
         self._scale = np.concatenate([limits.state_scale, limits.thrust_scale])
@@ -66,10 +66,10 @@ class CvxpyOsqp(Peer):
             ],
         )
 
-    def solve(self) -> Result:
+    def find(self) -> Result:
         """Set the parameters and solve."""
         lin, F, N = self.lin, self.limits.thrust_scale, self.stages
-        low, high = self.limits.box(lin.U[0], self.knots)
+        low, high = self.box()
         velocity, slope = velocity_over_ground(lin.X[-1], lin.C[-1])
         values = (self._dynamics_values(), (self._rows, self._columns))
         self._dynamics.value_sparse = coo_array(values, shape=self._dynamics.shape)

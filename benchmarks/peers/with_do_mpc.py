@@ -20,7 +20,7 @@ with warnings.catch_warnings():  # that parts of do-mpc which are not used here 
 from benchmarks.peers import symbolic
 from benchmarks.peers.peer import Peer
 from ltv_mpc.control.config import STAGE_NS, ResolvedConfig
-from ltv_mpc.control.horizon_limits import HorizonLimits
+from ltv_mpc.control.problem_data import Constants
 from ltv_mpc.control.solvers.interface import Result
 from ltv_mpc.vehicle.parameters import Vehicle
 
@@ -36,7 +36,7 @@ class DoMpcIpopt(Peer):
     solves = "NLP"
     settings = "collocation (Radau, degree 2, one element), MUMPS: its defaults; nothing stored"
 
-    def __init__(self, config: ResolvedConfig, limits: HorizonLimits, vehicle: Vehicle) -> None:
+    def __init__(self, config: ResolvedConfig, limits: Constants, vehicle: Vehicle) -> None:
         super().__init__(config, limits, vehicle)
         model = self._model()
         self._mpc = mpc = do_mpc.controller.MPC(model)
@@ -61,7 +61,7 @@ class DoMpcIpopt(Peer):
         """Reset the initial guess: the last solution does not suit the next problem."""
         self._begun = False
 
-    def solve(self) -> Result:
+    def find(self) -> Result:
         """One ``make_step``."""
         lin, F, N, mpc = self.lin, self.limits.thrust_scale, self.stages, self._mpc
         middle, slope = (lin.C[:-1] + lin.C[1:]) / 2, np.diff(lin.C, axis=0) / STAGE_S

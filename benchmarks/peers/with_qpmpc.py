@@ -16,8 +16,8 @@ from qpmpc import MPCProblem, solve_mpc
 
 from benchmarks.peers.peer import Peer
 from ltv_mpc.control.config import ResolvedConfig
-from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import velocity_over_ground
+from ltv_mpc.control.problem_data import Constants
 from ltv_mpc.control.solvers.interface import Result
 from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.flow import STATES
@@ -36,7 +36,7 @@ class QpmpcDaqp(Peer):
     solves = "QP"
     settings = "dense, defaults"
 
-    def __init__(self, config: ResolvedConfig, limits: HorizonLimits, vehicle: Vehicle) -> None:
+    def __init__(self, config: ResolvedConfig, limits: Constants, vehicle: Vehicle) -> None:
         super().__init__(config, limits, vehicle)
         w, F = self.weights, limits.thrust_scale
         position, thrust = np.sqrt(w.position_per_m2), max(np.sqrt(w.thrust), SMALL) / F
@@ -51,11 +51,11 @@ class QpmpcDaqp(Peer):
         change = np.diag(self._change)
         self._of_change = np.vstack([change, -change, change, -change])
 
-    def solve(self) -> Result:
+    def find(self) -> Result:
         """Set up and solve."""
         lin, N = self.lin, self.stages
         A, B = self._transitions()
-        low, high = self.limits.box(lin.U[0], self.knots)
+        low, high = self.box()
         slew = self.limits.max_change
         # the reference in coordinates of the stage; U = 0 and the constant are their own targets
         at = np.zeros((N + 1, WIDTH))

@@ -23,10 +23,10 @@ class ScipyLeastSquares(Peer):
     solves = "NLP"
     settings = "trf with bounds, 2-point differences, commands over their maxima; defaults otherwise; no slew limit"
 
-    def solve(self) -> Result:
+    def find(self) -> Result:
         """Solve from the guess."""
         F = self.limits.thrust_scale
-        low, high = (bound / F for bound in self.limits.box(self.lin.U[0], self.knots))
+        low, high = (bound / F for bound in self.box())
         start = np.clip(self.lin.U[1:] / F, low, high)
         found = least_squares(self._residuals, start.ravel(), bounds=(low.ravel(), high.ravel()))
         return self.answer(found.x.reshape(-1, 2) * F, iterations=int(found.nfev))

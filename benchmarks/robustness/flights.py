@@ -9,13 +9,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.batch import keep_each
+from benchmarks.batch import decode, keep_each
 from benchmarks.robustness.cases import conditions
 from benchmarks.robustness.laws import Gains, pilot
 from benchmarks.strangers.flight import Conditions, Flight, Start, fly, load
 from benchmarks.strangers.tasks import SETTLING_S, TASKS, Figures, Task, figures, mean_figures, speed_mps
 from services.run.provenance import provenance_table
-from services.tools.batch.results_store import decode, open_store
+from services.tools.batch.results_store import open_store
 from services.tools.campaign.trial import version_of
 
 TASK_NAMES = ("hold", "square")

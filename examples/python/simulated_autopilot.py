@@ -9,7 +9,7 @@ needs pymavlink and numpy, and nothing of this project. Its rules, as in ArduPil
   65535 leaves it as it is. A channel that is not repeated for 3 s is released.
 - In MANUAL steering and throttle are mixed for skid steering, the throttle in whole percent. Disarmed or in HOLD both
   thrusters stop.
-- Without a heartbeat of the ground station for 5 s it changes to HOLD, and its state is critical.
+- Without a heartbeat of the ground station for 5 s it changes to HOLD, and its state is critical until the next one.
 - Messages are sent at the intervals that were asked for. What is not for it alone goes from each link to the others.
 """
 
@@ -121,6 +121,7 @@ class Autopilot:
         kind, make = m.get_type(), self.mav
         who = (m.get_srcSystem(), m.get_srcComponent())
         if kind == "HEARTBEAT" and who[0] == self.gcs_sysid:
+            self.failsafe &= self.gcs_s is None or self.now_s <= self.gcs_s + GCS_TIMEOUT_S
             self.gcs_s = self.now_s
         elif kind == "STATUSTEXT":
             self.pieces += m.text

@@ -34,7 +34,7 @@ from ltv_mpc.control.mode import Decision, EstimateSelector, Mode, decide
 from ltv_mpc.control.ocp.extension import Limit, Term
 from ltv_mpc.control.prediction import Prediction, Start
 from ltv_mpc.control.prediction_uncertainty import growth_m
-from ltv_mpc.control.problem_data import pack_constants
+from ltv_mpc.control.problem_data import Constants
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.control.solvers import SolverFactory, make
@@ -65,8 +65,6 @@ from ltv_mpc.safety.estimate_gate import EstimateGate
 from ltv_mpc.safety.health import NOMINAL, HealthState, plan_end_ns, worst
 from ltv_mpc.safety.vehicle_file_check import VehicleFileCheck
 from ltv_mpc.vehicle.parameters import Vehicle
-
-STAGE_S = STAGE_NS * 1e-9
 
 SAVE_PERIOD_NS = 5_000_000_000
 """Longest time between two published states."""
@@ -107,12 +105,12 @@ class Controller:
         self.sent_commands = SentCommands(vehicle, config.period_ns)
         """Commands in force, by time."""
         weights = config.weights.at_heading(False)
-        packed = pack_constants(vehicle, weights, config.knots, STAGE_S, config.limits.state_bounds)
+        constants = Constants.of(vehicle, weights, config.knots, config.limits.state_bounds)
         self._estimates = EstimateSelector(vehicle, config)
         self.observer = DisturbanceObserver(config.disturbance, vehicle)
         """What the motion has shown of current, estimated point and vehicle."""
         self._prediction = Prediction(vehicle)
-        self._vertical = VerticalLaw(vehicle, packed, config.limits)
+        self._vertical = VerticalLaw(vehicle, constants, config.limits)
         self._knots_ns = np.round(config.knots * STAGE_NS).astype(np.int64)  # (N+1,), after the plan's start
         least_ns = round(config.min_delay_s * 1e9)
         plan_ns = plan_end_ns(self._knots_ns, config.period_ns, vehicle.plan_timeout_s)
@@ -120,7 +118,7 @@ class Controller:
         self._lateral = LateralPlanner(
             vehicle,
             config,
-            packed,
+            constants,
             knots_ns=self._knots_ns,
             make_solver=make_solver,
             stopwatch=stopwatch,

@@ -28,6 +28,7 @@ import numpy as np
 
 from ltv_mpc.control import nominal, shooting_grid
 from ltv_mpc.control.config import STAGE_NS
+from ltv_mpc.control.ocp.cycle import Cycle
 from ltv_mpc.control.prediction import Start
 from ltv_mpc.control.vertical import ramp
 from ltv_mpc.messages import Array, Pair, Plan, PlanOrigin, Solve, SolveStatus, Times
@@ -124,13 +125,13 @@ class PreviousPlan:
 class Fallback:
     """Lateral plans below the solved one."""
 
-    def __init__(self, vehicle: Vehicle, packed: Array, previous: PreviousPlan, period_ns: int) -> None:
+    def __init__(self, vehicle: Vehicle, cycle: Cycle, previous: PreviousPlan, period_ns: int) -> None:
         """Prepare the levels.
 
         Parameters
         ----------
         vehicle : parameters of the vehicle.
-        packed : packed constants (``problem_data.pack_constants``).
+        cycle : has constants and current.
         previous : plan that was sent last; its owner keeps it up to date.
         period_ns : of the plans (ns).
         """
@@ -138,7 +139,7 @@ class Fallback:
         end_ns = plan_end_ns(knots_ns, period_ns, vehicle.plan_timeout_s)
         self._end = int(np.searchsorted(knots_ns, end_ns, "right"))  # first knot after the end of a plan
         self._brake = int(np.searchsorted(knots_ns[:-1], round(REPLACEMENTS_MISSING * period_ns)))
-        self._packed = packed
+        self._cycle = cycle
         self._previous = previous
         self._zero = np.zeros((len(previous.knots_ns), 2))
         port, starboard = vehicle.thruster.port, vehicle.thruster.starboard
@@ -148,25 +149,23 @@ class Fallback:
         self._stopping_gain = np.linalg.solve(mixing, -masses / time_s)  # of surge and yaw rate to F1, F2
         self._decay = np.exp(-1e-9 * knots_ns / time_s)
 
-    def plan(self, start: Start, C: Array, solve: Solve) -> LateralPlan:
+    def plan(self, start: Start, solve: Solve) -> LateralPlan:
         """Return the plan of the first level that gives one.
 
         Parameters
         ----------
         start : the vehicle at the plan's start.
-        C : (N+1, 2) current at the knots (m/s), finite.
         solve : report of the solve that gave no plan.
         """
-        shifted = self.shift(start, C, solve) if start.t_ns < self._previous.solved_until_ns else None
-        return shifted or self.ramp(start, C, solve.why)._replace(solve=solve)
+        shifted = self.shift(start, solve) if start.t_ns < self._previous.solved_until_ns else None
+        return shifted or self.ramp(start, solve.why)._replace(solve=solve)
 
-    def shift(self, start: Start, C: Array, solve: Solve) -> LateralPlan | None:
+    def shift(self, start: Start, solve: Solve) -> LateralPlan | None:
         """Return the rest of the previous plan on the new knots, with zero thrust beyond the end of what was solved.
 
         Parameters
         ----------
         start : the vehicle at the plan's start.
-        C : (N+1, 2) current at the knots (m/s), finite.
         solve : report of the solve that gave no plan.
 
         Returns
@@ -179,69 +178,65 @@ class Fallback:
         (X, U), goal = self.empty(), commands.copy()
         shooting_grid.shift(goal, self._previous.knots_ns / STAGE_NS, stages)
         goal[start.t_ns + self._previous.knots_ns > self._previous.solved_until_ns] = 0.0
-        nominal.ramp_to(self._packed, start.lateral, goal, C, X, U)
+        nominal.ramp_to(self._cycle.constants, start.lateral, goal, self._cycle.lin.C, X, U)
         if not (np.isfinite(X).all() and np.isfinite(U).all()):
             return None
         return LateralPlan(X, U, PlanOrigin.SHIFTED, solve, solve.why)
 
-    def ramp(self, start: Start, C: Array, why: str, goal: Array | None = None) -> LateralPlan:
+    def ramp(self, start: Start, why: str, goal: Array | None = None) -> LateralPlan:
         """Ramp the lateral thrusters to a goal at their slew limits.
 
         Parameters
         ----------
         start : the vehicle at the plan's start.
-        C : (N+1, 2) current at the knots (m/s).
         why : reason that the plan gives.
         goal : (N+1, 2) thrusts of port and starboard at the knots (N); zero if None.
         """
         lateral = self._zero if goal is None else goal
         origin = PlanOrigin.MANUAL if goal is not None and goal.any() else PlanOrigin.ZERO
-        return self._ramp_to(lateral, start, C, origin, why)
+        return self._ramp_to(lateral, start, origin, why)
 
-    def stop(self, start: Start, C: Array, why: str) -> LateralPlan:
+    def stop(self, start: Start, why: str) -> LateralPlan:
         """Stop the vehicle through the water: the law at the head of this file.
 
         Parameters
         ----------
         start : the vehicle at the plan's start.
-        C : (N+1, 2) current at the knots (m/s).
         why : reason that the plan gives.
         """
         thrust = self._stopping_gain @ start.lateral[[2, 5]]  # by surge and yaw rate
-        return self._ramp_to(np.outer(self._decay, thrust), start, C, PlanOrigin.STOP, why)
+        return self._ramp_to(np.outer(self._decay, thrust), start, PlanOrigin.STOP, why)
 
-    def with_braking_tail(self, start: Start, C: Array, plan: LateralPlan) -> LateralPlan:
+    def with_braking_tail(self, start: Start, plan: LateralPlan) -> LateralPlan:
         """Return a plan that stops the vehicle from the knot on at which the second plan after it is missing.
 
         Parameters
         ----------
         start : the vehicle at the plan's start.
-        C : (N+1, 2) current at the knots (m/s), finite.
         plan : its states and commands.
         """
         goal, b = plan.U.copy(), self._brake
         thrust = self._stopping_gain @ plan.X[b, [2, 5]]
         goal[b + 1 :] = np.outer(self._decay[b + 1 :] / self._decay[b], thrust)
         goal[self._end :] = 0.0
-        return self._ramp_to(goal, start, C, plan.origin, plan.why)._replace(solve=plan.solve)
+        return self._ramp_to(goal, start, plan.origin, plan.why)._replace(solve=plan.solve)
 
-    def coasting(self, start: Start, C: Array, plan: LateralPlan) -> LateralPlan:
+    def coasting(self, start: Start, plan: LateralPlan) -> LateralPlan:
         """Return what a plan comes to if no other one follows it: the thrusters ramp to zero.
 
         Parameters
         ----------
         start : the vehicle at the plan's start.
-        C : (N+1, 2) current at the knots (m/s), finite.
         plan : its commands.
         """
         goal = plan.U.copy()
         goal[self._end :] = 0.0
-        return self._ramp_to(goal, start, C, plan.origin, plan.why)
+        return self._ramp_to(goal, start, plan.origin, plan.why)
 
-    def _ramp_to(self, goal: Array, start: Start, C: Array, origin: PlanOrigin, why: str) -> LateralPlan:
+    def _ramp_to(self, goal: Array, start: Start, origin: PlanOrigin, why: str) -> LateralPlan:
         """Approach the goal (N+1, 2) in box and slew."""
         X, U = self.empty()
-        nominal.ramp_to(self._packed, start.lateral, goal, C, X, U)
+        nominal.ramp_to(self._cycle.constants, start.lateral, goal, self._cycle.lin.C, X, U)
         if not math.isfinite(np.vdot(X, X)):
             X = np.nan_to_num(X, posinf=0.0, neginf=0.0)
         return LateralPlan(X, U, origin, NOT_RUN, why)

@@ -16,10 +16,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from ltv_mpc.control.horizon_limits import command_bounds
-from ltv_mpc.control.problem_data import stage_length, unpack_constants
+from ltv_mpc.control.ocp.limits import command_bounds
+from ltv_mpc.control.problem_data import STAGE_S, Constants, stage_length
 from ltv_mpc.jit import copy_to, jit
 from ltv_mpc.messages import Array
+from ltv_mpc.vehicle.dynamics import coefficients
 from ltv_mpc.vehicle.flow import STATES, advance_stage, lag_table
 from ltv_mpc.vehicle.resistance import steady_speed
 
@@ -36,48 +37,47 @@ MAX_TURN_PER_STAGE = 0.5
 
 
 @jit
-def steering_guess(packed: Array, start: Array, target: Array, astern: bool, C: Array, X: Array, U: Array) -> None:
+def steering_guess(o: Constants, start: Array, target: Array, astern: bool, C: Array, X: Array, U: Array) -> None:
     """Simulate the steering law.
 
     Parameters
     ----------
-    packed, start, target, C : as in ``nominal.py``.
+    o, start, target, C : as in ``nominal.py``.
     astern : True to steer with the stern ahead.
     X, U : are overwritten.
     """
-    c, N = unpack_constants(packed), len(target) - 1
-    p, o = c.p, c.objective
+    p, N = coefficients(o.p), len(target) - 1
     copy_to(X[0], start[:STATES])
     copy_to(U[0], start[STATES:])
     fastest = steady_speed(o.high[0] + o.high[1], p.linear_surge, p.quadratic_surge)
     sign = -1.0 if astern else 1.0
-    h = stage_length(o.t, 1) * c.stage_s
+    h = stage_length(o.t, 1) * STAGE_S
     lag = lag_table(h, p)
     for k in range(N):
         x = X[k]
         g = stage_length(o.t, k + 1)
-        before, h = h, g * c.stage_s
+        before, h = h, g * STAGE_S
         if h != before:
             lag = lag_table(h, p)
         # ref' over the stage: the target at knot 0 is not known; with one stage it is the velocity wanted at the end
         vn, ve = target[N, 0], target[N, 1]
         if N > 1:
             end = max(k, 1)
-            length = stage_length(o.t, end + 1) * c.stage_s
+            length = stage_length(o.t, end + 1) * STAGE_S
             vn, ve = (target[end, 0] - target[end - 1, 0]) / length, (target[end, 1] - target[end - 1, 1]) / length
         # w = (ref - p) / T_p + ref' - c, limited
-        wn = (target[k, 0] - vn * h - x[0]) / (APPROACH_S * c.time_ratio) + vn - C[k, 0]
-        we = (target[k, 1] - ve * h - x[1]) / (APPROACH_S * c.time_ratio) + ve - C[k, 1]
+        wn = (target[k, 0] - vn * h - x[0]) / (APPROACH_S * o.time_ratio) + vn - C[k, 0]
+        we = (target[k, 1] - ve * h - x[1]) / (APPROACH_S * o.time_ratio) + ve - C[k, 1]
         size = np.sqrt(wn * wn + we * we)
         if size > fastest:
             wn, we = wn * fastest / size, we * fastest / size
         turn = np.arctan2(sign * we, sign * wn) - x[4]
         turn -= 2.0 * np.pi * np.round(turn / (2.0 * np.pi))
         wanted = min(max(wn * np.cos(x[4]) + we * np.sin(x[4]), o.low_state[0]), o.high_state[0])
-        w0 = min(TURN_RADPS / c.time_ratio, MAX_TURN_PER_STAGE / h)
+        w0 = min(TURN_RADPS / o.time_ratio, MAX_TURN_PER_STAGE / h)
         yaw = p.inertia_yaw * (w0 * w0 * turn - 2.0 * w0 * x[5])
         surge = (
-            p.mass_surge * (wanted - x[2]) / max(SURGE_S * c.time_ratio, h)
+            p.mass_surge * (wanted - x[2]) / max(SURGE_S * o.time_ratio, h)
             + (p.linear_surge + p.quadratic_surge * abs(wanted)) * wanted
         )
         # F1 + F2 = X, F1 a1 - F2 a2 = N

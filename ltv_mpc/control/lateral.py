@@ -31,13 +31,12 @@ from ltv_mpc.control.config import STAGE_NS, ResolvedConfig
 from ltv_mpc.control.disturbance import REST_M, heading_free
 from ltv_mpc.control.fallback import Fallback, LateralPlan, PreviousPlan
 from ltv_mpc.control.fencing import Fencing
-from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import describe_non_finite
 from ltv_mpc.control.ocp.cycle import Cycle
 from ltv_mpc.control.ocp.extension import Limit, Term
 from ltv_mpc.control.ocp.problem import Problem, is_finite
 from ltv_mpc.control.prediction import Start, currents_at_depths
-from ltv_mpc.control.problem_data import coefficients_of, pack_constants
+from ltv_mpc.control.problem_data import Constants
 from ltv_mpc.control.solvers import Result, Solver, SolverFactory
 from ltv_mpc.control.target_placement import bring_within
 from ltv_mpc.messages import Array, Estimate, Pair, PlanOrigin, Solve, SolveStatus, Times
@@ -67,7 +66,7 @@ class LateralPlanner:
         self,
         vehicle: Vehicle,
         config: ResolvedConfig,
-        packed: Array,
+        constants: Constants,
         *,
         knots_ns: Times,
         make_solver: SolverFactory,
@@ -79,7 +78,7 @@ class LateralPlanner:
         Parameters
         ----------
         vehicle, config : as ``make_solver`` takes them.
-        packed : packed constants (``problem_data.pack_constants``).
+        constants : of the controller.
         knots_ns : (N+1,) knots after a plan's start (ns).
         make_solver : called now, and again after a solve that failed.
         stopwatch : is called with a stage's name when that stage of a cycle ends.
@@ -88,9 +87,8 @@ class LateralPlanner:
         self.previous = PreviousPlan(knots_ns)
         self.fencing = Fencing(vehicle, knots_ns, config.limits.max_cross_track_m)
         """Fence, obstacles and corridor in force."""
-        scales = HorizonLimits.from_vehicle(vehicle, STAGE_NS * 1e-9)
-        self._cycle = Cycle(packed, config.knots, scales, self.fencing.scene, terms)
-        self._fallback = Fallback(vehicle, packed, self.previous, config.period_ns)
+        self._cycle = Cycle(constants, self.fencing.scene, terms)
+        self._fallback = Fallback(vehicle, self._cycle, self.previous, config.period_ns)
         self._vehicle, self._config_for = vehicle, functools.cache(functools.partial(_config_for, config))
         self._config = self._config_for(path=False, heading=False)
         self._make_solver: Callable[[], Solver] = lambda: make_solver(self._weakened_vehicle(), self._config)
@@ -98,7 +96,7 @@ class LateralPlanner:
         self._last_solver: Solver | None = None
         self._stopwatch = stopwatch
         self._rows_bind = False  # in the last QP; True: the next one has the rows
-        self._solver(self._cycle.plain, math.nan)
+        self._solver(self._cycle.plain)
 
     @property
     def target(self) -> Array:
@@ -143,7 +141,7 @@ class LateralPlanner:
         if radius_m == 0.0 or plan is None:
             return
         stages = (start.t_ns - int(plan.t_ns[0])) / STAGE_NS
-        bring_within(plan.states, stages, self._cycle.knots, start.lateral, radius_m, self.target)
+        bring_within(plan.states, stages, self._cycle.constants.t, start.lateral, radius_m, self.target)
 
     def ramp(self, start: Start, why: str, goal: Array | None = None) -> LateralPlan:
         """Ramp the lateral thrusters to a goal at their slew limits.
@@ -153,7 +151,7 @@ class LateralPlanner:
         start, why, goal : as ``Fallback.ramp`` takes them; the current is the one that was set.
         """
         delivered = None if goal is None else goal[:, :2] * self.previous.shares
-        return self._as_commands(self._fallback.ramp(start, self._cycle.lin.C, why, delivered))
+        return self._as_commands(self._fallback.ramp(start, why, delivered))
 
     def set_shares(self, shares: Pair) -> None:
         """Plan with thrusters that deliver a share of their commands; the solver is rebuilt if the shares change.
@@ -186,14 +184,12 @@ class LateralPlanner:
         ----------
         p : (21,) coefficients.
         """
-        coefficients_of(self._cycle.packed)[:] = p
+        self._cycle.constants.p[:] = p
 
     def _repack(self) -> None:
-        config, learned = self._config, coefficients_of(self._cycle.packed).copy()
-        self._cycle.packed[:] = pack_constants(
-            self._weakened_vehicle(), config.weights, config.knots, STAGE_NS * 1e-9, config.limits.state_bounds
-        )
-        self.set_coefficients(learned)
+        config, learned = self._config, self._cycle.constants.p
+        of = Constants.of(self._weakened_vehicle(), config.weights, config.knots, config.limits.state_bounds)
+        self._cycle.constants = of._replace(p=learned)
         self.discard_solvers()
 
     def stop(self, start: Start, why: str) -> LateralPlan:
@@ -203,7 +199,7 @@ class LateralPlanner:
         ----------
         start, why : as ``Fallback.stop`` takes them; the current is the one that was set.
         """
-        return self._as_commands(self._fallback.stop(start, self._cycle.lin.C, why))
+        return self._as_commands(self._fallback.stop(start, why))
 
     def plan(self, start: Start) -> LateralPlan:
         """Return the QP's plan, or that of the first fallback level that gives one.
@@ -224,10 +220,10 @@ class LateralPlanner:
         """Return a plan with a braking tail, if the vehicle would enter a zone when no other plan follows it."""
         if plan.origin is PlanOrigin.ZERO or not self.fencing.is_active:
             return plan
-        enters_s = self.fencing.enters_s(self._fallback.coasting(start, self._cycle.lin.C, plan).X)
+        enters_s = self.fencing.enters_s(self._fallback.coasting(start, plan).X)
         if math.isinf(enters_s):
             return plan
-        braking = self._fallback.with_braking_tail(start, self._cycle.lin.C, plan)
+        braking = self._fallback.with_braking_tail(start, plan)
         return braking if self.fencing.enters_s(braking.X) > enters_s else plan
 
     def discard_solvers(self) -> None:
@@ -264,7 +260,8 @@ class LateralPlanner:
             else:
                 left -= 1
             if left > 0:
-                nominal.linearise(cycle, U)
+                cycle.lin.X[...], cycle.lin.U[...] = X, U
+                nominal.linearise(cycle.constants, cycle.lin)
         return LateralPlan(X, U, PlanOrigin.SOLVED, solve, "")
 
     def _solve_qp(self, shift: float, *, near: bool, last: bool) -> tuple[Array, Solve]:
@@ -280,43 +277,25 @@ class LateralPlanner:
         return cycle.commands(result.z), result.solve
 
     def _run_solver(self, problem: Problem, shift: float, *, last: bool) -> Result:
-        solver = self._solver(problem, shift)
-        solver.build(problem)
+        solver = self._solver(problem)
+        if solver is not self._last_solver:
+            shift = math.nan
+        self._last_solver = solver
         self._stopwatch("build")
-        draft = None if last else getattr(solver, "draft", None)
-        drafted: Result | None = None if draft is None else draft()
-        if drafted is not None:
-            self._stopwatch("solve")
-            return drafted
-        solver.update()
-        self._stopwatch("update")
-        result = solver.solve()
+        result = solver.solve(problem, shift, last=last)
         self._stopwatch("solve")
         if result.solve.status is SolveStatus.NON_FINITE and not is_finite(problem):
             why = describe_non_finite(self._cycle.lin, self.target)
             return result._replace(solve=msgspec.structs.replace(result.solve, why=why))
         return result
 
-    def _solver(self, problem: Problem, shift: float) -> Solver:
-        """Return the solver of problems of this size, with its warm start.
-
-        Parameters
-        ----------
-        problem : of that size.
-        shift : by how many first stages the knots of the last QP lie earlier; NaN if it is not related to the next one.
-        """
+    def _solver(self, problem: Problem) -> Solver:
+        """Return the solver of problems of this size."""
         rows = problem.low.shape[1]
         if rows not in self._solvers:
             self._solvers[rows] = self._make_solver()
-            motion = nominal.any_motion(self._cycle)
-            self._solvers[rows].build(self._cycle.full_problem(problem, motion))
-        solver = self._solvers[rows]
-        if solver is not self._last_solver or math.isnan(shift):
-            solver.reset_warm_start()
-        elif shift != 0.0:
-            solver.shift_warm_start(shift)
-        self._last_solver = solver
-        return solver
+            self._solvers[rows].set_up(self._cycle.full_problem(problem, nominal.any_motion(self._cycle)))
+        return self._solvers[rows]
 
     def _linearise(self, start: Start) -> float:
         """Linearise along the previous plan on the new knots, or along a steering guess if that costs less.
@@ -333,7 +312,7 @@ class LateralPlanner:
         """Return the plan of the first fallback level that gives one."""
         self.discard_solvers()
         np.nan_to_num(self._cycle.lin.C, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
-        return self._fallback.plan(start, self._cycle.lin.C, solve)
+        return self._fallback.plan(start, solve)
 
     def _as_commands(self, plan: LateralPlan) -> LateralPlan:
         """Return a plan of delivered thrusts with the commands that lead to them."""

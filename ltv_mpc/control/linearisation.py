@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ltv_mpc.jit import copy_to, jit, jit_outlined
+from ltv_mpc.jit import jit, jit_outlined
 from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.flow import STATES, advance_stage, lag_table
 from ltv_mpc.vehicle.parameters import Coefficients
@@ -89,7 +89,7 @@ def roll_out(X0: Array, U: Array, C: Array, h: Array, p: Coefficients) -> Array:
 
 
 @jit_outlined
-def linearise_along(lin: Linearisation, t: Array, stage_s: float, p: Coefficients, rollout: bool) -> None:
+def linearise_along(lin: Linearisation, t: Array, stage_s: float, p: Coefficients) -> None:
     """Linearise the flow along a trajectory.
 
     Parameters
@@ -98,7 +98,6 @@ def linearise_along(lin: Linearisation, t: Array, stage_s: float, p: Coefficient
     t : (N+1,) knots in first stages.
     stage_s : length of the first stage.
     p : coefficients of the vehicle.
-    rollout : True: X[0] alone is given, and X[1:] is overwritten with the exact flow from there, in the same pass.
     """
     X, U, C = lin.X, lin.U, lin.C
     h = (t[1] - t[0]) * stage_s
@@ -113,8 +112,6 @@ def linearise_along(lin: Linearisation, t: Array, stage_s: float, p: Coefficient
         linearise_stage(
             X[k], U[k], U[k + 1], C[k], C[k + 1], h, p, lag, gain, Z, lin.Phi[k], lin.A[k], lin.B0[k], lin.B1[k]
         )
-        if rollout:
-            copy_to(X[k + 1], lin.Phi[k])
 
 
 def linearise(X: Array, U: Array, C: Array, h: float, p: Coefficients) -> Linearisation:
@@ -134,7 +131,7 @@ def linearise(X: Array, U: Array, C: Array, h: float, p: Coefficients) -> Linear
     """
     lin = Linearisation.empty(len(U) - 1)
     lin.X[...], lin.U[...], lin.C[...] = X, U, C
-    linearise_along(lin, np.arange(float(len(U))), h, p, False)
+    linearise_along(lin, np.arange(float(len(U))), h, p)
     return lin
 
 

@@ -40,9 +40,8 @@ import numpy as np
 from ltv_mpc.control.config import STAGE_NS, ResolvedConfig
 from ltv_mpc.control.disturbance import DEFAULT_SD_MPS, NOISE_SHARE
 from ltv_mpc.control.disturbance_filter import SURGE_ERROR
-from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import linearise, velocity_over_ground
-from ltv_mpc.control.scaling import characteristic_scales, state_scale
+from ltv_mpc.control.scaling import characteristic_scales, state_scale, thrust_scale
 from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.flow import STATES
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
@@ -103,7 +102,7 @@ class Loop:
         """
         self._p, self._config = vehicle.coefficients(), config
         self._share, self._speed = share, share * characteristic_scales(vehicle).speed_mps
-        thrust = HorizonLimits.from_vehicle(vehicle, STAGE_S).thrust_scale
+        thrust = thrust_scale(vehicle)
         self._scale = np.array([*state_scale(vehicle), *thrust])
         self._velocity = np.pad(velocity_over_ground(*steady_state(self._p, self._speed))[1], ((0, 0), (2, 3)))
         self._delay_s = max(config.first_delay_s, config.min_delay_s)

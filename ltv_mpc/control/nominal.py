@@ -5,7 +5,7 @@ It starts at the predicted state. It is the previous plan on the new knots, or a
 
 Arguments of the functions in this file:
 
-    packed   packed constants (problem_data.py)
+    o        constants of the controller (problem_data.py)
     start    (10,) state n, e, u, v, psi, r, F1, F2 at the first knot, then the commands of port and starboard there
     goal     (N+1, 2) commands to follow as far as box and slew allow (N); the first row does not count
     target   (N+1, 3) as in ``ocp/terms.py``
@@ -23,15 +23,16 @@ import numpy as np
 
 from ltv_mpc.control import shooting_grid
 from ltv_mpc.control.fence_clearance import fence_cost, is_near
-from ltv_mpc.control.horizon_limits import clip_to_limits
 from ltv_mpc.control.initial_guess import steering_guess
 from ltv_mpc.control.linearisation import Linearisation, linearise_along, propagate
 from ltv_mpc.control.ocp.assembly import cost
 from ltv_mpc.control.ocp.cycle import UNKNOWN, Cycle, Score
-from ltv_mpc.control.problem_data import bow_first, unpack_constants
+from ltv_mpc.control.ocp.limits import clip_to_limits
+from ltv_mpc.control.problem_data import STAGE_S, Constants
 from ltv_mpc.control.terminal_check import check_terminal
 from ltv_mpc.jit import copy_to, jit
 from ltv_mpc.messages import Array
+from ltv_mpc.vehicle.dynamics import coefficients
 from ltv_mpc.vehicle.flow import STATES
 
 PREVIOUS_PLAN, STEERED_AHEAD, STEERED_ASTERN = range(3)
@@ -45,59 +46,47 @@ STEPS = (1.0, 0.5, 0.25, 0.1)
 
 
 @jit
-def ramp_to(packed: Array, start: Array, goal: Array, C: Array, X: Array, U: Array) -> None:
+def ramp_to(o: Constants, start: Array, goal: Array, C: Array, X: Array, U: Array) -> None:
     """Move the lateral thrusters to given commands at the slew limit, and predict the motion.
 
     Parameters
     ----------
-    packed, start, goal, C : as at the head of this file.
+    o, start, goal, C : as at the head of this file.
     X, U : are overwritten.
     """
-    c, o = unpack_constants(packed), unpack_constants(packed).objective
     copy_to(U, goal)
     copy_to(X[0], start[:STATES])
     copy_to(U[0], start[STATES:])
     clip_to_limits(U, o.t, o.low, o.high, o.max_change)
-    propagate(X, U, C, o.t, c.stage_s, c.p)
+    propagate(X, U, C, o.t, STAGE_S, coefficients(o.p))
 
 
 @jit
-def _linearise(packed: Array, start: Array, goal: Array, lin: Linearisation) -> None:
-    """Linearise along the motion that ``ramp_to`` gives, in the current of the linearisation."""
-    c, o = unpack_constants(packed), unpack_constants(packed).objective
-    copy_to(lin.U, goal)
-    copy_to(lin.X[0], start[:STATES])
-    copy_to(lin.U[0], start[STATES:])
-    clip_to_limits(lin.U, o.t, o.low, o.high, o.max_change)
-    linearise_along(lin, o.t, c.stage_s, c.p, True)
-
-
-def linearise(cycle: Cycle, goal: Array) -> None:
-    """Linearise along the motion that commands lead to.
+def linearise(o: Constants, lin: Linearisation) -> None:
+    """Linearise along a trajectory.
 
     Parameters
     ----------
-    cycle : has start and current.
-    goal : as at the head of this file.
+    o : as at the head of this file.
+    lin : has the trajectory, and is overwritten.
     """
-    _linearise(cycle.packed, cycle.start, goal, cycle.lin)
+    linearise_along(lin, o.t, STAGE_S, coefficients(o.p))
 
 
 @jit
-def _measure(packed: Array, X: Array, U: Array, C: Array, target: Array) -> tuple[float, bool, float]:
+def _measure(o: Constants, X: Array, U: Array, C: Array, target: Array) -> tuple[float, bool, float]:
     """Return cost, ``stuck`` and ``tail`` of the ``Score`` of a trajectory."""
-    c = unpack_constants(packed)
-    end = check_terminal(X, C, target, c)
-    return cost(X, U, C, target, c.objective), end.stuck, end.tail_cost
+    end = check_terminal(X, C, target, o)
+    return cost(X, U, C, target, o), end.stuck, end.tail_cost
 
 
 def _score(cycle: Cycle, X: Array, U: Array, most: float = math.inf) -> Score:
     """Return the score of a trajectory; ``UNKNOWN`` if its terms cost more than ``most``."""
-    of_terms, stuck, tail = _measure(cycle.packed, X, U, cycle.lin.C, cycle.target)
+    of_terms, stuck, tail = _measure(cycle.constants, X, U, cycle.lin.C, cycle.target)
     if of_terms > most:
         return UNKNOWN
     further = 0.0 if cycle.further is None else cycle.further.cost(X, U)
-    zones = 0.0 if cycle.fenced is None else fence_cost(X, cycle.scene, cycle.knots, cycle.position_scale_m)
+    zones = 0.0 if cycle.fenced is None else fence_cost(X, cycle.scene, cycle.constants.t, cycle.position_scale_m)
     return Score(of_terms + further, zones, stuck, tail)
 
 
@@ -124,14 +113,14 @@ def choose_nominal(cycle: Cycle, start: Array, old: Array, stages: float, *, was
     """
     lin, best, kind = cycle.lin, UNKNOWN, STEERED_AHEAD
     cycle.start[:] = start
-    guess = goal = old.copy()
     if not math.isnan(stages):
-        shooting_grid.shift(goal, cycle.knots, stages)
-        linearise(cycle, goal)
+        goal = old.copy()
+        shooting_grid.shift(goal, cycle.constants.t, stages)
+        ramp_to(cycle.constants, start, goal, lin.C, lin.X, lin.U)
         kind, best = PREVIOUS_PLAN, _score(cycle, lin.X, lin.U)
-    for other_kind in (STEERED_AHEAD,) if bow_first(cycle.packed) else (STEERED_AHEAD, STEERED_ASTERN):
+    for other_kind in (STEERED_AHEAD,) if cycle.constants.low_state[0] >= 0.0 else (STEERED_AHEAD, STEERED_ASTERN):
         X, U = np.empty_like(lin.X), np.empty_like(lin.U)
-        steering_guess(cycle.packed, start, cycle.target, other_kind == STEERED_ASTERN, lin.C, X, U)
+        steering_guess(cycle.constants, start, cycle.target, other_kind == STEERED_ASTERN, lin.C, X, U)
         other = _score(cycle, X, U, math.inf if best.stuck else best.cost + best.fence)
         if other is UNKNOWN:
             continue
@@ -141,9 +130,9 @@ def choose_nominal(cycle: Cycle, start: Array, old: Array, stages: float, *, was
         tail = 1.0 if (best.stuck or other.stuck) and other.fence <= best.fence else 0.0
         before = best.cost + best.fence + tail * best.tail
         if other.cost + other.fence + tail * other.tail < before or math.isinf(best.cost):
-            kind, best, guess = other_kind, other, U
-    if kind != PREVIOUS_PLAN:
-        linearise(cycle, guess)
+            kind, best = other_kind, other
+            lin.X[...], lin.U[...] = X, U
+    linearise(cycle.constants, lin)
     cycle.score = best
     return kind
 
@@ -157,7 +146,9 @@ def any_motion(cycle: Cycle) -> Linearisation:
     """
     lin, rng = Linearisation.empty(len(cycle.target) - 1), np.random.default_rng(0)
     lin.C[:] = rng.normal(size=lin.C.shape)
-    _linearise(cycle.packed, rng.normal(size=len(cycle.start)), rng.normal(size=lin.U.shape), lin)
+    start, goal = rng.normal(size=len(cycle.start)), rng.normal(size=lin.U.shape)
+    ramp_to(cycle.constants, start, goal, lin.C, lin.X, lin.U)
+    linearise(cycle.constants, lin)
     return lin
 
 
@@ -168,7 +159,7 @@ def comes_near(cycle: Cycle) -> bool:
     ----------
     cycle : has trajectory and zones.
     """
-    return is_near(cycle.lin.X, cycle.scene, cycle.knots, cycle.position_scale_m)
+    return is_near(cycle.lin.X, cycle.scene, cycle.constants.t, cycle.position_scale_m)
 
 
 def line_search(cycle: Cycle, commands: Array, X: Array, U: Array) -> tuple[float, bool]:
@@ -190,7 +181,7 @@ def line_search(cycle: Cycle, commands: Array, X: Array, U: Array) -> tuple[floa
     """
     lin, before, enters = cycle.lin, cycle.score, False
     for part in STEPS:
-        ramp_to(cycle.packed, cycle.start, lin.U + part * (commands - lin.U), lin.C, X, U)
+        ramp_to(cycle.constants, cycle.start, lin.U + part * (commands - lin.U), lin.C, X, U)
         after = _score(cycle, X, U)
         if part == STEPS[0]:
             enters = after.fence > before.fence == 0.0

@@ -98,6 +98,11 @@ def state_scale(vehicle: Vehicle) -> Array:
     return np.array([_rounded(s) for s in scale])
 
 
+def thrust_scale(vehicle: Vehicle) -> Array:
+    """Return the thrust of port and starboard that is 1 in the cost (2,): the larger side of the box (N)."""
+    return np.array([max(t.max_N, -t.min_N) for t in vehicle.thrusters[:2]])
+
+
 def weaker_couple(vehicle: Vehicle, p: Coefficients) -> float:
     """Return the weaker turning couple N: one thruster full ahead, the other full astern, to the weaker side.
 

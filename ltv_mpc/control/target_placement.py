@@ -21,7 +21,6 @@ from ltv_mpc.control.scaling import Scales
 from ltv_mpc.control.shooting_grid import shift
 from ltv_mpc.control.terminal_check import closing_speed
 from ltv_mpc.geofence.route import Router
-from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array
 
 LEAD = 0.5
@@ -50,7 +49,6 @@ def bring_near(position: Array, current: Array, target: Array, horizon_s: float,
         target[:-1, :2] = position + way * (reach / np.maximum(distance, reach))[:, None]
 
 
-@jit
 def bring_within(states: Array, stages: float, t: Array, state: Array, radius_m: float, target: Array) -> None:
     """Move the target of each knot to the point of a disc about it that is nearest to the previous plan.
 
@@ -65,12 +63,9 @@ def bring_within(states: Array, stages: float, t: Array, state: Array, radius_m:
     """
     places = states[:, :2].copy()
     shift(places, t, stages)
-    for k in range(1, len(t)):
-        off_n = state[0] - places[0, 0] + places[k, 0] - target[k - 1, 0]
-        off_e = state[1] - places[0, 1] + places[k, 1] - target[k - 1, 1]
-        share = min(radius_m / max(math.hypot(off_n, off_e), 1e-9), 1.0)
-        target[k - 1, 0] += share * off_n
-        target[k - 1, 1] += share * off_e
+    off = state[:2] - places[0] + places[1:] - target[:-1, :2]
+    share = np.minimum(radius_m / np.maximum(np.hypot(off[:, 0], off[:, 1]), 1e-9), 1.0)
+    target[:-1, :2] += share[:, None] * off
 
 
 def lead_round(router: Router, position: Array, current: Array, target: Array, times_s: Array, scales: Scales) -> bool:

@@ -21,10 +21,11 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from ltv_mpc.control.problem_data import Constants
+from ltv_mpc.control.problem_data import POSITION, STAGE_S, Constants
 from ltv_mpc.control.scaling import PAPER_SCALES
 from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array
+from ltv_mpc.vehicle.dynamics import coefficients
 from ltv_mpc.vehicle.resistance import steady_speed
 
 NEAR_LENGTHS = 0.1
@@ -77,7 +78,7 @@ def closing_speed(en: float, ee: float, bn: float, be: float, V: float) -> float
 
 
 @jit
-def check_terminal(X: Array, C: Array, target: Array, c: Constants) -> TerminalCheck:
+def check_terminal(X: Array, C: Array, target: Array, o: Constants) -> TerminalCheck:
     """Check a trajectory: its end, and how it begins.
 
     Parameters
@@ -85,36 +86,36 @@ def check_terminal(X: Array, C: Array, target: Array, c: Constants) -> TerminalC
     X : (N+1, 8) states at the knots.
     C : (N+1, 2) current at the knots, north and east (m/s).
     target : (N+1, 3) as in ``ocp/terms.py``.
-    c : constants of the controller.
+    o : constants of the controller.
 
     Returns
     -------
     Whether it is stuck, and its tail cost.
     """
-    N, o, T = len(target) - 1, c.objective, TIME_S * c.time_ratio
+    N, T = len(target) - 1, TIME_S * o.time_ratio
     # on a path the course is given, and with it which end goes first
     stands = bool(target[N, 0] == 0.0 and target[N, 1] == 0.0)
-    ends_stuck, d, s = _closing(X[N], C[N], target[N - 1], target[N], stands, c)
+    ends_stuck, d, s = _closing(X[N], C[N], target[N - 1], target[N], stands, o)
     if d == 0.0:
         return TerminalCheck(False, 0.0)
     k = min(BEGIN, N - 1)
-    begins_stuck = stands and X[k, 6] + X[k, 7] < 0.0 and _closing(X[k], C[k], target[k], target[N], stands, c)[0]
+    begins_stuck = stands and X[k, 6] + X[k, 7] < 0.0 and _closing(X[k], C[k], target[k], target[N], stands, o)[0]
     t = MAX_TAIL_TIMES * T
     if s * t > d:
         t = d / s
-    tail_cost = 0.5 * o.position / c.stage_s * t * (d * d - d * s * t + s * s * t * t / 3.0)
+    tail_cost = 0.5 * o.weights[POSITION] / STAGE_S * t * (d * d - d * s * t + s * s * t * t / 3.0)
     return TerminalCheck(ends_stuck or begins_stuck, tail_cost)
 
 
 @jit
 def _closing(
-    state: Array, current: Array, place: Array, pace: Array, stands: bool, c: Constants
+    state: Array, current: Array, place: Array, pace: Array, stands: bool, o: Constants
 ) -> tuple[bool, float, float]:
     """Return whether a state is stuck, its distance (m), 0 if it is near, and its closing speed (m/s).
 
     ``stands``: the target does not move.
     """
-    o, p, T = c.objective, c.p, TIME_S * c.time_ratio
+    p, T = coefficients(o.p), TIME_S * o.time_ratio
     dn, de = place[0] - state[0], place[1] - state[1]
     d = math.sqrt(dn * dn + de * de)
     ahead = steady_speed(o.high[0] + o.high[1], p.linear_surge, p.quadratic_surge)

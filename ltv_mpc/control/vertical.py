@@ -25,9 +25,10 @@ from ltv_mpc.control.blocked_motion import BlockedMotion
 from ltv_mpc.control.config import MotionLimits
 from ltv_mpc.control.depth_limits import DepthLimits, clip_to_depths
 from ltv_mpc.control.prediction import Start
-from ltv_mpc.control.problem_data import unpack_constants
+from ltv_mpc.control.problem_data import STAGE_S, Constants
 from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array, Estimate, Times
+from ltv_mpc.vehicle.dynamics import coefficients
 from ltv_mpc.vehicle.flow import advance_heave
 from ltv_mpc.vehicle.parameters import Vehicle
 
@@ -59,13 +60,13 @@ MAX_INTEGRATION_S = 2.0
 
 @jit
 def follow_depth(
-    packed: Array, at: Array, z_ref: Array, w_ref: Array, bounds: Array, blocked: float = 0.0, relief: float = 0.0
+    o: Constants, at: Array, z_ref: Array, w_ref: Array, bounds: Array, blocked: float = 0.0, relief: float = 0.0
 ) -> tuple[Array, Array, float]:
     """Simulate the depth law over the horizon.
 
     Parameters
     ----------
-    packed : packed constants (``problem_data.pack_constants``).
+    o : constants of the controller.
     at : (5,) at the first knot: depth (m), sinking speed (m/s), delivered thrust, command in force and integral (N).
     z_ref, w_ref : (N+1,) reference depths (m) and sinking speeds (m/s) at the knots. Without a reference ``z_ref`` is
         NaN, and ``w_ref`` holds the commands to keep (N).
@@ -77,18 +78,17 @@ def follow_depth(
     -------
     Depths (N+1,) in m, commands (N+1,) in N, and the integral's rate at the first knot (N/s).
     """
-    constants = unpack_constants(packed)
-    p, t = constants.p, constants.objective.t
-    low, high, slew = constants.vertical[0], constants.vertical[1], constants.vertical[2]
+    p, t = coefficients(o.p), o.t
+    low, high, slew = o.vertical[0], o.vertical[1], o.vertical[2]
     z, w, F, command, integral = at
     N = len(z_ref) - 1
     depth, commands = np.empty(N + 1), np.empty(N + 1)
     depth[0], commands[0] = z, command
     rate_now = 0.0
     for k in range(N):
-        # The law acts at least every stage_s, also where the knots are farther apart; the plan samples it at the knots.
+        # The law acts at least every STAGE_S, also where the knots are farther apart; the plan samples it at the knots.
         acts = int(np.ceil(t[k + 1] - t[k] - 1e-9))
-        h = (t[k + 1] - t[k]) * constants.stage_s / acts
+        h = (t[k + 1] - t[k]) * STAGE_S / acts
         for j in range(1, acts + 1):
             part = j / acts
             depth_ref = z_ref[k] + part * (z_ref[k + 1] - z_ref[k])
@@ -139,19 +139,19 @@ class VerticalLaw:
     The integral advances from the start of one plan to the start of the next.
     """
 
-    def __init__(self, vehicle: Vehicle, packed: Array, limits: MotionLimits) -> None:
+    def __init__(self, vehicle: Vehicle, constants: Constants, limits: MotionLimits) -> None:
         """Begin with a zero integral.
 
         Parameters
         ----------
         vehicle : its vertical thruster's slew limit is used.
-        packed : packed constants (``problem_data.pack_constants``).
+        constants : of the controller.
         limits : settings of the depth limits.
         """
         self.depth_limits = DepthLimits(vehicle, limits, NATURAL_RADPS)
         """Depths between which the law stays."""
         self._slew_N_per_s = vehicle.thrusters[2].slew_N_per_s
-        self._packed = packed
+        self._constants = constants
         p = vehicle.coefficients()
         self._stiffness_Npm = p.mass_heave * NATURAL_RADPS * NATURAL_RADPS
         self._blocked = BlockedMotion(LEAD_S + p.linear_heave / self._stiffness_Npm)
@@ -191,7 +191,9 @@ class VerticalLaw:
         """Return the plan of ``follow_depth``, with ``rate`` as its ``w_ref``."""
         at = start.depth_m, start.sinking_mps, start.vertical_N, start.vertical_command_N, self.integral_N
         bounds = self.depth_limits.bounds
-        return VerticalPlan(*follow_depth(self._packed, np.array(at), depth_m, rate, bounds, blocked, self._relief_N))
+        return VerticalPlan(
+            *follow_depth(self._constants, np.array(at), depth_m, rate, bounds, blocked, self._relief_N)
+        )
 
     def hold(self, start: Start, estimate: Estimate, knots: Times) -> VerticalPlan:
         """Keep the depth at which the hold began.

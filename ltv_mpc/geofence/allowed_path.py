@@ -25,7 +25,7 @@ import numpy.typing as npt
 from ltv_mpc.geofence.route import Router
 from ltv_mpc.geofence.zones import Zones, are_clear, clearances, nearest
 from ltv_mpc.messages import Array, Pair
-from ltv_mpc.references.schedule import EAST, NORTH, TIME, WAY, Schedule
+from ltv_mpc.references.schedule import DEPTH, EAST, NORTH, TIME, WAY, Schedule
 from ltv_mpc.references.timed import TimedSchedule
 
 ROUNDING_M = 1e-6
@@ -35,10 +35,13 @@ STEP_M = 0.25
 """Largest distance between two columns: a timed track may have longer ones, which could step over a zone."""
 
 SPEED_M, MIN_SPEED_MPS = 2.0, 0.05
-"""Length to both sides of a detour of which the largest speed is that of the detour; its lower bound."""
+"""Length to both sides of a detour of which the largest speed is that of the detour, and its speed if none moves."""
 
 DETOUR_ENDS = np.array([0.0, 0.25, 0.5, 1.0])
 """Distances from the zone, in required clearances, at which a detour may leave the path and meet it again."""
+
+BLOCK = 128
+"""Number of columns of which a report of a standing obstacle looks at all or none."""
 
 MAX_COLUMNS = 100_000
 """Largest number of columns of a schedule whose steps were divided."""
@@ -65,9 +68,26 @@ class DividedTable(NamedTuple):
 
     table: Array  # (5, M)
     points: Array  # (M, 2) north and east (m), for compiled code
+    circles: Array  # (B, 3) north, east and radius (m) of a circle around each ``BLOCK`` of points
+
+    def within(self, north: float, east: float, radius_m: float) -> Columns:
+        """Return the columns within a distance of a place; points far from it are not looked at.
+
+        Parameters
+        ----------
+        north, east : place (m).
+        radius_m : distance (m).
+        """
+        near = np.hypot(self.circles[:, 0] - north, self.circles[:, 1] - east) < self.circles[:, 2] + radius_m
+        columns = (BLOCK * np.flatnonzero(near)[:, None] + np.arange(BLOCK)).ravel()
+        columns = columns[columns < len(self.points)]
+        inside: Columns = columns[np.hypot(*(self.points[columns] - (north, east)).T) < radius_m]
+        return inside
 
 
-def allowed_path(schedule: Schedule, router: Router, of: DividedTable | None = None) -> tuple[Schedule, float]:
+def allowed_path(
+    schedule: Schedule, router: Router, of: DividedTable | None = None, clear: npt.NDArray[np.bool_] | None = None
+) -> tuple[Schedule, float]:
     """Return the schedule with detours for its columns that are nearer to a zone than the required clearance.
 
     Parameters
@@ -75,6 +95,7 @@ def allowed_path(schedule: Schedule, router: Router, of: DividedTable | None = N
     schedule : motion of the target.
     router : has the zones of the fence and the required clearance.
     of : the divided table of the schedule, if it is known.
+    clear : (M,) which of its columns keep the required clearance, if that is known.
 
     Returns
     -------
@@ -82,8 +103,8 @@ def allowed_path(schedule: Schedule, router: Router, of: DividedTable | None = N
     path whose end has no allowed point near it stays as it is.
     """
     zones, need, keeps_time = router.zones, router.need, isinstance(schedule, TimedSchedule)
-    table, points = divided(schedule.table) if of is None else of
-    clear = are_clear(zones, need, points)
+    table, points, _ = divided(schedule.table) if of is None else of
+    clear = are_clear(zones, need, points) if clear is None else clear
     if clear.all():
         return schedule, 0.0
     # Far from what is left out the path stays as it is, but for its times.
@@ -111,7 +132,11 @@ def allowed_path(schedule: Schedule, router: Router, of: DividedTable | None = N
         left = np.hstack([left, last] if len(kept) else [last, last])
     elif len(kept) == 1:
         left = np.hstack([left, left])
-    left = _with_detours(left, np.flatnonzero(gap), router, keeps_time=keeps_time)
+    # No detour sinks faster than the path beside it and what is left out of it.
+    moves = np.diff(table[TIME]) > 0.0
+    sinking_mps = np.abs(np.nan_to_num(np.diff(table[DEPTH])))[moves] / np.diff(table[TIME])[moves]
+    largest_mps = float(np.max(sinking_mps, initial=0.0))
+    left = _with_detours(left, np.flatnonzero(gap), router, largest_mps, keeps_time=keeps_time)
     delay_s = left[TIME, -1] - table[TIME, -1]
     left = np.hstack([before, left, behind])
     left[TIME, left.shape[1] - behind.shape[1] :] += delay_s
@@ -120,10 +145,10 @@ def allowed_path(schedule: Schedule, router: Router, of: DividedTable | None = N
     return schedule._replace(table=left), skipped_m
 
 
-def _with_detours(table: Array, gaps: Columns, router: Router, *, keeps_time: bool) -> Array:
+def _with_detours(table: Array, gaps: Columns, router: Router, sinking_mps: float, *, keeps_time: bool) -> Array:
     """Return the table (5, M) of a schedule with the ways round the zones behind the columns ``gaps``.
 
-    With ``keeps_time`` the target waits behind a gap until the time of the table.
+    They sink at most at ``sinking_mps``. With ``keeps_time`` the target waits behind a gap until the time of the table.
     """
     parts, begin, delay_s = [], 0, 0.0
     ends = np.append(gaps, table.shape[1] - 1)
@@ -132,6 +157,8 @@ def _with_detours(table: Array, gaps: Columns, router: Router, *, keeps_time: bo
         first, last = table[:, before, None], table[:, behind, None].copy()
         planned_s = float(last[TIME, 0] - first[TIME, 0])
         detour_s = 0.0 if way is None else _length_m(way) / _speed_mps(table, before, behind)
+        if sinking_mps > 0.0:
+            detour_s = max(detour_s, abs(float(last[DEPTH, 0] - first[DEPTH, 0])) / sinking_mps)
         last[TIME] = first[TIME] + detour_s
         parts.append(_later(table[:, begin : before + 1], delay_s))
         if way is not None:
@@ -189,8 +216,8 @@ def _speed_mps(table: Array, before: int, behind: int) -> float:
     way = table[WAY]
     first, last = np.searchsorted(way, [way[before] - SPEED_M, way[behind] + SPEED_M])
     step_s, step_m = np.diff(table[TIME, first : last + 1]), np.diff(way[first : last + 1])
-    moves = step_s > 0.0  # on a path at a speed, the part that is left out takes no time
-    return float(np.max(step_m[moves] / step_s[moves], initial=MIN_SPEED_MPS))
+    moves = (step_s > 0.0) & (step_m > 0.0)  # on a path at a speed, the part that is left out takes no time
+    return float(np.max(step_m[moves] / step_s[moves])) if moves.any() else MIN_SPEED_MPS
 
 
 def _later(table: Array, delay_s: float) -> Array:
@@ -244,7 +271,9 @@ def divided(table: Array) -> DividedTable:
     if parts.max(initial=1) > 1:
         first = np.concatenate([[0], np.cumsum(parts)])  # columns of the table among those of the parts
         table = np.array([np.interp(np.arange(first[-1] + 1), first, row) for row in table])
-    return DividedTable(table, np.ascontiguousarray(table[[NORTH, EAST]].T))
+    points = np.ascontiguousarray(table[[NORTH, EAST]].T)
+    low, high = (least.reduceat(points, np.arange(0, len(points), BLOCK)) for least in (np.minimum, np.maximum))
+    return DividedTable(table, points, np.column_stack([0.5 * (low + high), 0.5 * np.hypot(*(high - low).T)]))
 
 
 class Routes:
@@ -257,7 +286,8 @@ class Routes:
         self._at_margins: Router | None = None
         self._zones, self._need = NO_ZONES, np.empty(0)
         self._standing = np.empty((0, 3))
-        self._divided: tuple[Schedule, DividedTable] | None = None  # last path, and its table in small steps
+        # Last path, its table in small steps, and which of these are clear of the zones.
+        self._divided: tuple[Schedule, DividedTable, npt.NDArray[np.bool_]] | None = None
 
     def set_zones(self, zones: Zones, need: Array) -> None:
         """Lead round other zones.
@@ -267,7 +297,7 @@ class Routes:
         zones : zones of the fence.
         need : (Z,) required clearance at the stated margins (m).
         """
-        self._zones, self._need = zones, need.copy()
+        self._zones, self._need, self._divided = zones, need.copy(), None
         self._restart()
 
     def set_standing(self, standing: Array) -> bool:
@@ -305,8 +335,13 @@ class Routes:
         if self._at_margins is None:
             return schedule, 0.0
         if self._divided is None or self._divided[0] is not schedule:
-            self._divided = schedule, divided(schedule.table)
-        return allowed_path(schedule, self._at_margins, self._divided[1])
+            of = divided(schedule.table)
+            self._divided = schedule, of, are_clear(self._zones, self._need, of.points)
+        _, of, clear = self._divided
+        clear = clear.copy()
+        for standing in self._standing.tolist():
+            clear[of.within(*standing)] = False
+        return allowed_path(schedule, self._at_margins, of, clear)
 
     def _restart(self) -> None:
         zones, need = self._with_standing(self._need)

@@ -1,7 +1,9 @@
 """Fences of other programs: QGroundControl plans, and fence items of ArduPilot (MAV_CMD), also in a QGC WPL 110 file.
 
-Inclusion zones of one group are one keep-in zone, their union, as the vehicle has to be in one of them; all those of a
-plan are one group. An inclusion circle becomes the polygon in it. The files have no margins: all are ``MARGIN_M``.
+As MAVLink has it, the vehicle is inside all inclusion zones of a group, of any group. The zones of a plan, which knows
+no groups, and those of group 0, in which programs without groups write all, are a group each: QGroundControl sends the
+former as the latter. An inclusion circle becomes the polygon in it. The files have no margins: all are ``MARGIN_M``.
+A list of positions alone, as ArduPilot's ground stations wrote it, is a return point and a closed inclusion polygon.
 """
 
 from __future__ import annotations
@@ -15,9 +17,9 @@ import msgspec
 
 from ltv_mpc import config
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.geofence.geojson import union
+from ltv_mpc.geofence.geojson import Ring, zones_around
 from ltv_mpc.references.geodesy import Origin, degrees
-from ltv_mpc.references.mission_files import read_waypoints
+from ltv_mpc.references.mission_files import QGC_WPL, note_unused, read_waypoints
 from ltv_mpc.references.mission_items import WAYPOINT, Item, command_name
 
 MARGIN_M, MAX_RADIUS_M = 1.0, 100_000.0
@@ -64,19 +66,21 @@ def read(path: Path, source: str, notes: list[str], origin: Origin | None) -> di
     ConfigError
         If the file cannot be read or is not a fence.
     """
-    kind = path.suffix.lower()
-    if kind not in (".plan", ".waypoints"):
+    text, kind = config.read_text(path, what="fence"), path.suffix.lower()
+    positions = _positions(text)
+    if kind not in (".plan", ".waypoints") and not text.startswith(QGC_WPL) and not positions:
         return None
-    text = config.read_text(path, what="fence")
     try:
         if kind == ".plan":
             plan = config.parse_json(text, source)
             latitude, longitude = map(float, plan["mission"]["plannedHomePosition"][:2])
             origin = Origin(latitude_deg=latitude, longitude_deg=longitude)
             areas = _of_plan(plan, source)
+            mission, rally = plan["mission"].get("items") or (), (plan.get("rallyPoints") or {}).get("points") or ()
+            note_unused(source, notes, items_of_its_mission=len(mission), rally_points=len(rally))
         else:
-            home, *items = read_waypoints(text, source)
-            if home.command == WAYPOINT:
+            home, *items = _ring_items(positions, source) if positions else read_waypoints(text, source)
+            if home.command in (0, WAYPOINT):  # 0: Mission Planner's
                 origin = Origin(latitude_deg=home.latitude_deg, longitude_deg=home.longitude_deg)
             else:
                 items.insert(0, home)
@@ -89,6 +93,23 @@ def read(path: Path, source: str, notes: list[str], origin: Origin | None) -> di
         raise
     except (TypeError, KeyError, ValueError, IndexError, OverflowError) as error:
         raise ConfigError(source, "", f"is no fence: {error}") from None
+
+
+def _positions(text: str) -> list[tuple[float, float]]:
+    """Return latitude and longitude (degrees) of each line of a list of positions; none if it is something else."""
+    rows = [line.split() for line in text.splitlines() if line.strip() and not line.startswith("#")]
+    try:
+        return [(float(row[0]), float(row[1])) for row in rows] if {len(row) for row in rows} == {2} else []
+    except ValueError:
+        return []
+
+
+def _ring_items(positions: list[tuple[float, float]], source: str) -> list[Item]:
+    """Return the inclusion polygon behind a return point as fence items."""
+    ring = positions[1:-1]
+    if len(ring) < 3 or positions[1] != positions[-1]:
+        raise ConfigError(source, "", "must be a return point and a closed ring of at least 3 vertices")
+    return [Item(k, KEEP_IN, 0, (len(ring), 0.0, 0.0, 0.0), *place, 0.0) for k, place in enumerate(ring, start=1)]
 
 
 def zones_of(items: Iterable[Item], source: str) -> dict[str, Any]:
@@ -110,18 +131,19 @@ def zones_of(items: Iterable[Item], source: str) -> dict[str, Any]:
 def _zones(areas: Iterable[Area], source: str) -> dict[str, Any]:
     """Return the tables of keep-in and keep-out zones."""
     table: dict[str, Any] = {}
-    groups: dict[int, list[list[dict[str, float]]]] = {}
-    for area in areas:
+    groups: dict[tuple[int, int], list[list[Ring]]] = {}
+    for number, area in enumerate(areas):
         ring = [_place(position) for position in area.positions]
         if area.inside:
-            groups.setdefault(area.group, []).append(_polygon_in(area) if area.radius_m else ring)
+            group = (area.group, 0 if area.group else number)
+            groups.setdefault(group, []).append([_polygon_in(area) if area.radius_m else ring])
         elif area.radius_m:
             table.setdefault("keep_out_disc", []).append({"centre": ring[0], "radius_m": area.radius_m})
         else:
             table.setdefault("keep_out", []).append({"vertices": ring})
-    for group, rings in groups.items():
-        one = union(rings, f"inclusion zones of group {group}", source) if len(rings) > 1 else rings[0]
-        table.setdefault("keep_in", []).append({"vertices": one})
+    if groups:
+        for name, rings in zones_around([*groups.values()], "inclusion zones", source).items():
+            table.setdefault(name, []).extend({"vertices": ring} for ring in rings)
     return table
 
 
@@ -160,7 +182,7 @@ def _place(position: Sequence[float]) -> dict[str, float]:
     return {"latitude_deg": float(position[0]), "longitude_deg": float(position[1])}
 
 
-def _polygon_in(circle: Area) -> list[dict[str, float]]:
+def _polygon_in(circle: Area) -> Ring:
     centre = Origin(latitude_deg=circle.positions[0][0], longitude_deg=circle.positions[0][1])
     angles = [2.0 * math.pi * k / CORNERS for k in range(CORNERS)]
     return [_place(degrees(circle.radius_m * math.cos(a), circle.radius_m * math.sin(a), centre)) for a in angles]

@@ -1,12 +1,15 @@
 """Legs through sampled points: few straight legs near points that are dense, noisy or doubled.
 
-Planners, logs and mission editors write points whose corners are not corners of the path. Three steps find its legs:
+Planners, logs and mission editors write points whose corners are not corners of the path. Four steps find its legs:
 
+0. Sparse points that turn evenly are samples of a curve: the cubic spline through them, as far as it stays within
+   ``corner_m`` of the straight lines between them, adds points (the turn of a corner is not that of its neighbours).
 1. Neighbours are averaged in pairs while their distance is below ``NOISY_STEPS`` standard deviations of the noise.
 2. Points within a tolerance of the leg between two others are left out (Douglas & Peucker 1973). A leg never goes back
    along itself: the point at which the path turns back is kept.
-3. The ends of the legs move to the least-squares fit of all points. Legs that noise made of one corner become one, and
-   legs of many noisy points are halved, so that they follow a curve.
+3. The ends of the legs move to the least-squares fit of all points. Legs that noise made of one corner become one, a
+   leg shorter than the largest tolerance between long ones too, and legs of many noisy points are halved, so that they
+   follow a curve.
 
     tolerance = sigma (1 + sqrt(2 ln K)), at most corner_m / 4, at least ACCURACY_M
 
@@ -21,7 +24,6 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import solveh_banded
 
 from ltv_mpc.messages import Array
 
@@ -33,6 +35,8 @@ CORNER_SHARE = 0.25
 """Largest tolerance over ``corner_m``."""
 DENSE_M = 1.5
 """Largest distance between points of which the noise is estimated."""
+SPARSE_M = 0.025
+"""Least tolerance of a point that is farther from one beside it: its noise is not known."""
 FOURTH_DIFFERENCE = 9.85
 """Median length of a fourth difference in the plane over the standard deviation: sqrt(70), and 1.177 for two axes."""
 NOISY_STEPS, MAX_AVERAGES = 5.0, 20
@@ -41,6 +45,13 @@ REFINEMENTS = 3
 SHORT_LEG, MAX_SHORT_M, SHORT_OFF = 6.0, 0.3, 3.0
 """Length of a leg that noise or means may have made of a corner: in tolerances, and in distances of means, up to
 ``MAX_SHORT_M``. Distance of its end from the line past it, in tolerances.
+"""
+ALONE = 4.0
+"""Length of the legs beside a short one over its own, from which a corner is doubled."""
+EVEN, LEAST_COSINE, SAME_STEP, BULGE_M = 0.3, 0.501, 2.0, 0.015
+"""Samples of a curve: the distance of a point from the cubic through its four neighbours is smaller than this share of
+the step aside there, its turn below 60 degrees, the ratio of the steps beside it smaller, and the curve leaves the
+lines between the samples by more.
 """
 MANY_POINTS = 24
 """Number of points of a leg that is halved."""
@@ -52,26 +63,29 @@ class LegFit(NamedTuple):
     ends: Array  # (V, 3) north, east, depth (m)
     at: Array  # (K,) number of the leg plus the share of it, increasing
     deviation_m: float  # largest distance of a given point from its place on the legs, at most ``corner_m`` or 2 cm
+    curve_m: float = 0.0  # largest distance of the legs from the lines between the given points, where these are sparse
 
 
-def fit_legs(points: Array, corner_m: float) -> LegFit:
+def fit_legs(points: Array, corner_m: float, *, curves: bool = True) -> LegFit:
     """Return the legs near the points, in their order.
 
     Parameters
     ----------
     points : (K, 3) north, east, depth (m); depths may all be NaN.
     corner_m : largest distance between a corner and the arc that rounds it (m), which bounds the tolerance.
+    curves : sparse points may be samples of a curve.
     """
     given = np.nan_to_num(points)
-    ends, at = _smooth_legs(given, max(CORNER_SHARE * corner_m, ACCURACY_M))
-    deviation_m = _deviation_m(given, ends, at)
+    dense, number, curve_m = _curved(given, corner_m if curves else 0.0)
+    ends, at = _smooth_legs(dense, max(CORNER_SHARE * corner_m, ACCURACY_M))
+    deviation_m = _deviation_m(given, ends, at[number])
     if deviation_m > max(corner_m, 2.0 * ACCURACY_M):  # no noise, but a path in small steps
-        kept = _simplified(given, ACCURACY_M)
-        ends, at = given[kept], _least_squares(given, kept, given[kept])[1]
-        deviation_m = _deviation_m(given, ends, at)
+        kept = _simplified(dense, ACCURACY_M)
+        ends, at = dense[kept], _least_squares(dense, kept, dense[kept])[1]
+        deviation_m = _deviation_m(given, ends, at[number])
     if np.isnan(points[:, 2]).all():
         ends[:, 2] = np.nan
-    return LegFit(ends, np.maximum.accumulate(at), deviation_m)
+    return LegFit(ends, np.maximum.accumulate(at)[number], deviation_m, curve_m)
 
 
 def fit_legs_between(points: Array, corner_m: float, fixed: npt.NDArray[np.bool_]) -> LegFit:
@@ -86,7 +100,7 @@ def fit_legs_between(points: Array, corner_m: float, fixed: npt.NDArray[np.bool_
     between = [0, *(1 + np.flatnonzero(fixed[1:-1])).tolist(), len(points) - 1]
     if len(between) == 2:
         return fit_legs(points, corner_m)
-    ends, at, legs, deviation_m = [points[:1]], [np.zeros(1)], 0, 0.0
+    ends, at, legs, deviation_m, curve_m = [points[:1]], [np.zeros(1)], 0, 0.0, 0.0
     for i, j in itertools.pairwise(between):
         run = LegFit(points[i : j + 1], np.array([0.0, 1.0]), 0.0)
         if j > i + 1:
@@ -94,8 +108,48 @@ def fit_legs_between(points: Array, corner_m: float, fixed: npt.NDArray[np.bool_
         ends += [run.ends[1:-1], points[j : j + 1]]
         at.append(legs + run.at[1:])
         legs += len(run.ends) - 1
-        deviation_m = max(deviation_m, run.deviation_m)
-    return LegFit(np.concatenate(ends), np.concatenate(at), deviation_m)
+        deviation_m, curve_m = max(deviation_m, run.deviation_m), max(curve_m, run.curve_m)
+    return LegFit(np.concatenate(ends), np.concatenate(at), deviation_m, curve_m)
+
+
+def _curved(p: Array, corner_m: float) -> tuple[Array, Numbers, float]:
+    """Return the points with more between samples of a curve, the numbers of the given ones, and ``curve_m``."""
+    K, legs, steps = len(p), np.diff(p[:, :2], axis=0), _steps(p)
+    shorter, longer = np.sort([steps[1:], steps[:-1]], axis=0)
+    aside, off = np.zeros(K), np.zeros(K)
+    cross = legs[:-1, 0] * legs[1:, 1] - legs[:-1, 1] * legs[1:, 0]
+    aside[1:-1] = np.abs(cross) / np.where(longer > 0.0, longer, 1.0)
+    if K > 4:
+        off[2:-2] = np.hypot(*np.diff(legs, 3, axis=0).T) / 6.0  # from the cubic through the four neighbours
+    even = off <= EVEN * np.max([np.roll(aside, shift) for shift in (-1, 0, 1)], axis=0)
+    even[1:-1] &= longer < SAME_STEP * shorter
+    even[1:-1] &= (legs[1:] * legs[:-1]).sum(axis=1) > LEAST_COSINE * shorter * longer
+    bulge_m = np.maximum(aside[1:], aside[:-1]) / 8.0
+    smooth = np.pad(even[1:] & even[:-1] & (bulge_m < corner_m), 1)
+    smooth = smooth[1:-1] & (smooth[2:] | smooth[:-2])
+    bent = smooth & (bulge_m > BULGE_M)
+    if not bent.any():
+        return p, np.arange(K), 0.0
+    # Slopes of the spline by the number of the point; the third derivative is 0 on the first and last leg of a curve.
+    last = np.append(False, smooth) != np.append(smooth, False)
+    banded, right = np.zeros((2, K)), np.zeros((K, 2))
+    banded[0, 1:] = smooth
+    for end in (slice(1, None), slice(None, -1)):
+        banded[1, end] += smooth * (2.0 - last[end])
+        right[end] += (smooth * (3.0 - last[end]))[:, None] * legs
+    banded[1, banded[1] == 0.0] = 1.0
+    from scipy.linalg import solveh_banded  # 14 MB, for sampled curves alone
+
+    slope = solveh_banded(banded, right)
+    parts = np.where(bent, np.ceil(np.sqrt(4.0 * bulge_m / ACCURACY_M)), 1.0).astype(np.int64)
+    number = np.concatenate([[0], np.cumsum(parts)])
+    leg = np.repeat(np.arange(K - 1), parts)
+    share = ((np.arange(number[-1]) - number[leg]) / parts[leg])[:, None]
+    dense = p[leg] + share * (p[leg + 1] - p[leg])
+    aside = (1.0 - share) * (slope[leg] - legs[leg]) - share * (slope[leg + 1] - legs[leg])
+    aside *= share * (1.0 - share)
+    dense[:, :2] += aside
+    return np.vstack([dense, p[-1:]]), number, float(np.hypot(*aside.T).max())
 
 
 def _smooth_legs(given: Array, largest_m: float) -> tuple[Array, Array]:
@@ -103,15 +157,17 @@ def _smooth_legs(given: Array, largest_m: float) -> tuple[Array, Array]:
     p, number = _averaged(given, largest_m)
     noise_m = _noise_m(p) * (1.0 + np.sqrt(2.0 * np.log(len(p))))
     tolerance = max(min(noise_m, largest_m), ACCURACY_M)
+    alone = np.pad(_steps(p), 1, constant_values=0.0) >= DENSE_M
+    limit = np.where(alone[1:] | alone[:-1], max(tolerance, min(SPARSE_M, largest_m)), tolerance)
     short_m = SHORT_LEG * tolerance
     if len(p) < len(given):
         short_m = max(short_m, min(SHORT_LEG * float(np.median(_steps(p))), MAX_SHORT_M))
-    kept = _simplified(p, tolerance)
+    kept = _simplified(p, limit)
     ends = p[kept]
     for _ in range(REFINEMENTS):
         ends, _ = _least_squares(p, kept, ends)
-        still = np.delete(np.arange(len(ends)), _at_short_legs(ends, short_m, SHORT_OFF * tolerance))
-        still = still[_simplified(ends[still], tolerance)]
+        still = np.delete(np.arange(len(ends)), _at_short_legs(ends, short_m, SHORT_OFF * tolerance, largest_m))
+        still = still[_simplified(ends[still], limit[kept[still]])]
         kept, ends = kept[still], ends[still]
     if tolerance > ACCURACY_M:
         halved = 1 + np.flatnonzero(np.diff(kept) >= MANY_POINTS)
@@ -173,12 +229,13 @@ def _averaged(p: Array, largest_m: float) -> tuple[Array, Array]:
     return p, number[:, 0]
 
 
-def _simplified(p: Array, tolerance: float) -> Numbers:
-    """Return the numbers of the points that are kept as ends of legs."""
+def _simplified(p: Array, tolerance: Array | float) -> Numbers:
+    """Return the numbers of the points that are kept as ends of legs, for a tolerance (m) of all or of each (K,)."""
+    tolerance = np.broadcast_to(tolerance, len(p))
     # A corner between points that are not dense is kept without a search: a long mission consists of these.
     far_apart = _steps(p) >= DENSE_M
     _, off = _places(p[1:-1], p[:-2], p[2:] - p[:-2])
-    corner = far_apart[1:] & far_apart[:-1] & (off > 2.0 * tolerance)
+    corner = far_apart[1:] & far_apart[:-1] & (off > 2.0 * tolerance[1:-1])
     kept = {0, *(1 + np.flatnonzero(corner)).tolist(), len(p) - 1}
     parts = list(itertools.pairwise(sorted(kept)))
     while parts:
@@ -187,11 +244,11 @@ def _simplified(p: Array, tolerance: float) -> Numbers:
             continue
         leg = p[b] - p[a]
         share, off = _places(p[a + 1 : b], p[a], leg)
-        k = int(np.argmax(off))
-        if off[k] <= tolerance:
+        k = int(np.argmax(off / tolerance[a + 1 : b]))
+        if off[k] <= tolerance[a + 1 + k]:
             far = np.maximum.accumulate(share)
             back = (far - share) * np.hypot(*leg[:2])
-            if back.max() <= 2.0 * tolerance:
+            if (back <= 2.0 * tolerance[a + 1 : b]).all():
                 continue
             k = int(np.searchsorted(far, far[np.argmax(back)]))
         kept.add(a + 1 + k)
@@ -199,13 +256,15 @@ def _simplified(p: Array, tolerance: float) -> Numbers:
     return np.array(sorted(kept))
 
 
-def _at_short_legs(ends: Array, short_m: float, off_m: float) -> Numbers:
+def _at_short_legs(ends: Array, short_m: float, off_m: float, largest_m: float) -> Numbers:
     """Return the numbers of the ends that go with short legs: of each leg, the end nearer to a line past it."""
-    off = np.full(len(ends), np.inf)
+    off, steps = np.full(len(ends), np.inf), _steps(ends)
     _, off[1:-1] = _places(ends[1:-1], ends[:-2], ends[2:] - ends[:-2])
-    short = np.flatnonzero(_steps(ends) < short_m)
+    beside = np.pad(steps, 1, constant_values=np.inf)
+    alone = (steps < largest_m) & (ALONE * steps < np.minimum(beside[2:], beside[:-2])) & (len(ends) > 2)
+    short = np.flatnonzero((steps < short_m) | alone)
     nearer = np.where(off[short] < off[short + 1], short, short + 1)
-    return np.unique(nearer[off[nearer] < off_m])
+    return np.unique(nearer[off[nearer] < np.where(alone[short], np.inf, off_m)])
 
 
 def _places(p: Array, begin: Array, leg: Array) -> tuple[Array, Array]:
@@ -226,6 +285,8 @@ def _least_squares(p: Array, kept: Numbers, ends: Array) -> tuple[Array, Array]:
     kept : (V,) numbers of the points at the ends.
     ends : (V, 3) ends by which the places (leg and share) are found.
     """
+    from scipy.linalg import solveh_banded  # 14 MB, for paths of many points alone
+
     legs = len(kept) - 1
     leg = np.clip(np.searchsorted(kept, np.arange(len(p)), side="right") - 1, 0, legs - 1)
     share, _ = _places(p, ends[leg], np.diff(ends, axis=0)[leg])

@@ -32,25 +32,29 @@ MAX_SPEED_MPS = 20.0
 """Largest speed of a reference."""
 MOST_REFUSALS = 10
 """Number of refused items that an error names."""
+QGC_WPL = "QGC WPL "
+"""Begin of a list of items, which programs write with several suffixes."""
 
 
-def read(path: Path, source: str) -> dict[str, Any] | None:
+def read(path: Path, source: str, notes: list[str]) -> dict[str, Any] | None:
     """Return the table of a reference, as a TOML file holds it; None for a file that is none of another program.
 
     Parameters
     ----------
-    path : the file; its suffix names the kind, in small or capital letters.
+    path : the file; its suffix names the kind, in small or capital letters, but for QGC WPL that of its first line.
     source : name of the file in errors.
+    notes : receives a sentence about what the file holds beside the path.
 
     Raises
     ------
     ConfigError
         If the file cannot be read, or holds what cannot be followed.
     """
-    kind = path.suffix.lower()
-    if kind not in READERS:
+    text = config.read_text(path, what="reference")
+    reader = READERS.get(".waypoints" if text.startswith(QGC_WPL) else path.suffix.lower())
+    if reader is None:
         return None
-    home, stops = READERS[kind](config.read_text(path, what="reference"), source)
+    home, stops = reader(text, source, notes)
     if not stops:
         raise ConfigError(source, "", "has no path and no point")
     try:
@@ -73,10 +77,29 @@ def _path(positions: Iterable[tuple[float, float]], speed_mps: float | None = No
     return [Stop(0, Waypoint(latitude_deg=at, longitude_deg=on), speed) for at, on in positions]
 
 
-def _mission(items: Sequence[Item], speed_mps: float, source: str) -> Content:
-    """Return home, the first of the items, and the waypoints. It is that of a vehicle that dives if it goes down."""
-    home = _origin(items[0].latitude_deg, items[0].longitude_deg)
-    dives = any(item.command in PLACES and item.frame in RELATIVE and item.altitude_m < 0.0 for item in items[1:])
+def note_unused(source: str, notes: list[str], **numbers: int) -> None:
+    """Add a note about what a file holds and is not used.
+
+    Parameters
+    ----------
+    source : name of the file.
+    notes : receives the note, if there is any such thing.
+    numbers : how many there are of each, by their name.
+    """
+    if found := [f"{number} {name.replace('_', ' ')}" for name, number in numbers.items() if number]:
+        notes.append(f"{source}: not used are {', '.join(found)}")
+
+
+def _mission(items: Sequence[Item], speed_mps: float, source: str, notes: list[str], **beside: int) -> Content:
+    """Return home, which is the first of the items if it has a place, and the waypoints.
+
+    The mission is that of a vehicle that dives if it goes down. ``beside`` are numbers of what else the file holds.
+    """
+    first = next((item for item in items if item.has_place), items[0])
+    home = _origin(first.latitude_deg, first.longitude_deg)
+    places = [item for item in items[1:] if item.command in PLACES]
+    dives = any(item.frame in RELATIVE and item.altitude_m < 0.0 for item in places)
+    note_unused(source, notes, **beside, altitudes=0 if dives else sum(item.altitude_m != 0.0 for item in places))
     refused = refusals(items, dives=dives)
     endless = next((k for k, item in enumerate(items) if item.command in LAST), len(items))
     refused += [ItemRefused(item, "follows an item without an end") for item in items[endless + 1 :]]
@@ -103,7 +126,7 @@ def read_waypoints(text: str, source: str) -> list[Item]:
     items = []
     for k, line in enumerate(lines, start=2):
         try:
-            if cells := [float(cell) for cell in line.split()]:
+            if cells := [float(cell) for cell in line.partition("#")[0].split()]:
                 number, _, frame, command, *parameters, latitude, longitude, altitude, _ = cells
                 if len(parameters) != 4:
                     raise ValueError
@@ -116,15 +139,16 @@ def read_waypoints(text: str, source: str) -> list[Item]:
     return items
 
 
-def _waypoints(text: str, source: str) -> Content:
-    return _mission(read_waypoints(text, source), MAX_SPEED_MPS, source)
+def _waypoints(text: str, source: str, notes: list[str]) -> Content:
+    return _mission(read_waypoints(text, source), MAX_SPEED_MPS, source, notes)
 
 
-def _plan(text: str, source: str) -> Content:
+def _plan(text: str, source: str, notes: list[str]) -> Content:
     """Read a QGroundControl plan."""
-    mission = config.parse_json(text, source).get("mission") or {}
+    plan = config.parse_json(text, source)
+    mission = plan.get("mission") or {}
     try:
-        latitude, longitude = map(float, mission["plannedHomePosition"][:2])
+        latitude, longitude = map(float, (mission["plannedHomePosition"] or (0.0, 0.0))[:2])
         items = [Item(0, WAYPOINT, 0, (0.0,) * 4, latitude, longitude, 0.0)]
         for k, entry in enumerate(mission["items"], start=1):
             number = int(entry.get("doJumpId", k))
@@ -136,14 +160,17 @@ def _plan(text: str, source: str) -> Content:
                 raise ValueError(f"item {number} has {len(parameters)} of 7 parameters")
             items.append(Item(number, int(entry["command"]), int(entry["frame"]), parameters[:4], *parameters[4:]))
         cruise_mps = float(mission.get("cruiseSpeed", MAX_SPEED_MPS))
+        fence, rally = plan.get("geoFence") or {}, plan.get("rallyPoints") or {}
+        zones = len(fence.get("polygons") or ()) + len(fence.get("circles") or ())
+        points = len(rally.get("points") or ())
     except ConfigError:
         raise
     except (AttributeError, TypeError, KeyError, ValueError, OverflowError) as error:
         raise ConfigError(source, "mission", f"is not that of a plan: {error}") from None
-    return _mission(items, cruise_mps, source)
+    return _mission(items, cruise_mps, source, notes, zones_of_its_geofence=zones, rally_points=points)
 
 
-def _gpx(text: str, source: str) -> Content:
+def _gpx(text: str, source: str, notes: list[str]) -> Content:
     """Read the only route or track of a GPX file."""
     try:
         import gpxpy
@@ -155,27 +182,37 @@ def _gpx(text: str, source: str) -> Content:
         raise ConfigError(source, "", f"is not valid GPX: {error}") from None
     paths: list[list[Any]] = [list(route.points) for route in gpx.routes]
     paths += [[point for segment in track.segments for point in segment.points] for track in gpx.tracks]
+    beside = len(gpx.waypoints) if paths else 0
     paths = paths or [[point] for point in gpx.waypoints]
     if len(paths) != 1:
-        raise ConfigError(source, "", f"must have one route or track, it has {len(paths)}")
+        kinds = [f"{len(of)} {name}" for name, of in (("routes", gpx.routes), ("tracks", gpx.tracks))]
+        kinds.append(f"{len(gpx.waypoints)} waypoints, which have no order")
+        raise ConfigError(source, "", f"must have one route or track, it has {', '.join(kinds)}")
+    heights, times = (sum(getattr(point, of) is not None for point in paths[0]) for of in ("elevation", "time"))
+    note_unused(source, notes, waypoints_beside_it=beside, elevations=heights, times=times)
     return None, _path((point.latitude, point.longitude) for point in paths[0])
 
 
-def _geojson(text: str, source: str) -> Content:
+def _geojson(text: str, source: str, notes: list[str]) -> Content:
     """Read the only LineString, or else the only Point, of the features that are no zones of a fence."""
     from ltv_mpc.geofence.geojson import check_crs, place_of
 
     content = config.parse_json(text, source)
     kind = content.get("type")
     features = content.get("features") if kind == "FeatureCollection" else [content]
-    check_crs(content, "crs", source, [])
+    check_crs(content, "crs", source, notes)
     found: dict[str, list[tuple[Any, Any, str]]] = {"LineString": [], "Point": []}
+    zones = 0
     for k, feature in enumerate(features if isinstance(features, list) else []):
         try:
             properties = feature.get("properties") or {}
             geometry = feature["geometry"] if feature["type"] == "Feature" else feature
-            if "zone" not in properties:
-                found[geometry["type"]].append((geometry["coordinates"], properties, f"features[{k}]"))
+            if "zone" in properties:
+                zones += 1
+                continue
+            found[geometry["type"]].append((geometry["coordinates"], properties, f"features[{k}]"))
+            for of, where in ((feature, f"features[{k}].crs"), (geometry, f"features[{k}].geometry.crs")):
+                check_crs(of, where, source, notes)
         except (AttributeError, TypeError, KeyError):
             raise ConfigError(source, f"features[{k}]", "must be a LineString, a Point, or a zone of a fence") from None
     paths = found["LineString"] or found["Point"]
@@ -183,14 +220,19 @@ def _geojson(text: str, source: str) -> Content:
         raise ConfigError(source, "features", f"must hold one LineString, or else one Point, they hold {len(paths)}")
     coordinates, properties, where = paths[0]
     at = f"{where}.geometry.coordinates"
-    places = [place_of(one, at, source) for one in (coordinates if found["LineString"] else [coordinates])]
+    positions = coordinates if found["LineString"] else [coordinates]
+    places = [place_of(position, at, source) for position in positions]
+    beside = len(found["Point"]) if found["LineString"] else 0
+    heights = sum(len(position) > 2 for position in positions)
+    note_unused(source, notes, zones_of_a_fence=zones, points_beside_it=beside, heights=heights)
     origin = content.get("origin")
     try:
         home = None if origin is None else _origin(origin["latitude_deg"], origin["longitude_deg"])
     except (TypeError, KeyError, ValueError):
         raise ConfigError(source, "origin", "must have latitude_deg and longitude_deg") from None
-    positions = [(place["latitude_deg"], place["longitude_deg"]) for place in places]
-    return home, _path(positions, properties.get("speed_mps"))
+    return home, _path(
+        ((place["latitude_deg"], place["longitude_deg"]) for place in places), properties.get("speed_mps")
+    )
 
 
 READERS = {".waypoints": _waypoints, ".plan": _plan, ".gpx": _gpx, ".geojson": _geojson, ".json": _geojson}

@@ -31,7 +31,7 @@ CREEP_MPS = 0.05
 """Speed from which any vehicle stops within one step; with drag alone it would never stop."""
 TURN_SHARE_ON_ARC = 0.9
 """Share of the turning time spent on a bend; the heading leads the course, so the turn starts earlier."""
-SAME_BEND = 3.0
+SAME_BEND = 5.0
 STRAIGHT_M = 0.01
 """Distance of a bend from a straight line below which it is none: what the fit of legs leaves of the noise."""
 

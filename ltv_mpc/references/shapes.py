@@ -155,6 +155,11 @@ class Waypoints(Shape, frozen=True, kw_only=True, tag="waypoints"):
                 f"the {len(self.waypoints)} waypoints scatter: the path of {len(fit.ends) - 1} legs smooths them and "
                 f"is up to {fit.deviation_m:.2g} m away from them"
             )
+        if fit.curve_m > ACCURACY_M:
+            notes.append(
+                "waypoints that turn evenly are samples of a curve: the path through them is up to "
+                f"{fit.curve_m:.2g} m beside the straight lines between them"
+            )
         return notes + super().notes(vehicle)
 
     def _fit(self) -> tuple[Path, LegFit, list[int]]:

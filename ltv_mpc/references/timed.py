@@ -118,7 +118,7 @@ class Timed(BaseReference, frozen=True, kw_only=True, tag="timed"):
         rows, limits = np.array(self.rows), path_limits(vehicle)
         if rows.shape[1] == 3:
             rows = np.column_stack([rows, np.full(len(rows), np.nan if self.depth_m is None else self.depth_m)])
-        fit = fit_legs(rows[:, 1:], CORNER_M)
+        fit = fit_legs(rows[:, 1:], CORNER_M, curves=False)
         points = along(fit.ends, fit.at)
         corners = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(fit.ends[:, :2], axis=0).T))])
         way = np.interp(fit.at, np.arange(len(corners)), corners)

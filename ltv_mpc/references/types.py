@@ -153,19 +153,25 @@ class Hold(Station, frozen=True, kw_only=True, tag="hold"):
 Reference: TypeAlias = Point | Hold | Line | Waypoints | Lawnmower | Circle | Spiral | Timed
 
 
-def load(name: str) -> Reference:
+def load(name: str, notes: list[str] | None = None) -> Reference:
     """Return a shipped reference by name (``"descent"``, ``"square"``), or read a file by path.
 
     The file is TOML, or of another program (``mission_files.py``: .plan, .waypoints, .gpx, .geojson).
 
     A CSV file that the reference names is read too; its path is relative to the folder of the TOML file.
 
+    Parameters
+    ----------
+    name : NAME or FILE.
+    notes : receives a sentence about what a file of another program holds beside the path.
+
     Raises
     ------
     ConfigError
         If the reference does not exist or is not valid.
     """
-    if config.is_path(name) and (table := mission_files.read(Path(name), f"reference {name}")) is not None:
+    beside = [] if notes is None else notes
+    if config.is_path(name) and (table := mission_files.read(Path(name), f"reference {name}", beside)) is not None:
         return config.parse(table, Reference, source=f"reference {name}")  # type: ignore[arg-type]
     reference: Reference = config.load(name, Reference, what="reference", package=PACKAGE)  # type: ignore[arg-type]
     if isinstance(reference, Timed) and reference.file:

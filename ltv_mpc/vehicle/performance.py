@@ -1,4 +1,4 @@
-"""Performance of a vehicle from its equations of motion: steady states by root finding, the rest by integration.
+"""Performance of a vehicle from its equations of motion: steady states by their roots, the rest by integration.
 
 All figures are for motion through still water. The integrated ones include thruster slew and lag, and begin at rest
 unless stated. "Straight" means the largest thrusts without a yaw moment, F1 a1 = F2 a2 with the arms a1 and a2.
@@ -17,6 +17,7 @@ from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.dynamics import rates
 from ltv_mpc.vehicle.flow import STATES, advance_stage, lag_table
 from ltv_mpc.vehicle.parameters import Vehicle
+from ltv_mpc.vehicle.resistance import steady_speed
 
 STEP_S = 0.05
 """Integration step, and so the resolution of the times (s)."""
@@ -134,18 +135,9 @@ def top_speed(vehicle: Vehicle, F: Array) -> float | None:
     vehicle : parameters of the vehicle.
     F : (2,) thrusts without a yaw moment (N).
     """
-    p, total_thrust = vehicle.coefficients(), float(F.sum())
-    if total_thrust == 0.0:
-        return 0.0
-    from scipy.optimize import brentq  # a fifth of the start of a process
-
-    sign = math.copysign(1.0, total_thrust)
-
-    def acceleration(speed: float) -> float:
-        """Return u' (m/s2) at a speed (m/s), both positive in the direction of the thrust."""
-        return sign * rates(sign * speed, 0.0, 0.0, 0.0, F[0], F[1], 0.0, 0.0, 0.0, 0.0, p)[2]
-
-    return float(brentq(acceleration, 0.0, MAX_SPEED_MPS)) if acceleration(MAX_SPEED_MPS) < 0.0 else None
+    push, surge = abs(float(F.sum())), vehicle.surge
+    speed = steady_speed(push, surge.linear_damping_kgps, surge.quadratic_damping_kgpm) if push else 0.0
+    return speed if speed < MAX_SPEED_MPS else None
 
 
 def stopping(vehicle: Vehicle, speed_mps: float) -> tuple[float, float] | None:

@@ -62,17 +62,19 @@ def ctl(
 
     if action == HEARTBEAT:
         return node.heartbeat(bus)
-    fields: dict[str, Any] = {"force": force}
+    fields, notes = dict[str, Any](force=force), list[str]()
     if action == "follow":
-        fields["reference_toml"] = to_toml(references.load(file or ""))
+        fields["reference_toml"] = to_toml(references.load(file or "", notes))
     elif action == "fence":
-        fields["fence_toml"] = "" if file == NO_FENCE else to_toml(Fence.load(file or ""))
+        fields["fence_toml"] = "" if file == NO_FENCE else to_toml(Fence.load(file or "", notes))
     elif file is not None:
         from services.bus.topics import is_source_name
 
         if file != DEFAULT_SOURCE and not is_source_name(file):
             raise invalid("argument NAME", "must be 1 to 32 of a-z, 0-9, _ and -", value=file)
         fields["source"] = file
+    for note in notes:
+        typer.echo(note, err=True)
     return node.main(Action(action), fields, bus)
 
 

@@ -131,21 +131,12 @@ def campaign(
 
 def _text(best: list[Standing], minimise: str) -> str:
     """Tabulate the best points."""
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
+    from services.runtime.console import columns
     from services.tools.campaign.ranking import HEAD, cells
 
-    table = Table(title=f"{minimise}, mean over seeds with 95 % interval", title_justify="left", box=None)
-    for name in (*(key.rpartition(".")[2] for key in best[0].settings), *HEAD) if best else ():
-        table.add_column(name, justify="right")
-    for one in best:
-        table.add_row(*map(Text, cells(one)))
-    console = Console()
-    with console.capture() as text:
-        console.print(table)
-    return text.get().rstrip("\n")
+    head = [*(key.rpartition(".")[2] for key in best[0].settings), *HEAD] if best else []
+    table = columns([head, *map(cells, best)], numbers=True)
+    return "\n".join([f"{minimise}, mean over seeds with 95 % interval", *table])
 
 
 qp = group("qp", "Show a QP that was not solved, or export the QP as C.")

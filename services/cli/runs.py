@@ -109,20 +109,21 @@ def replay(
     every output; with --with it reports the differences that other settings make. Exit code 0 if every step that can
     be compared is identical.
     """
-    from services.replay import replay as nodes
+    from services.replay import replay as again
+    from services.replay.nodes import Run
     from services.reporting import replay_text
     from services.reporting.terminal import run_progress_bar
     from services.run import folder
 
-    made = nodes.Run(folder.find(run))
-    bar = run_progress_bar(*made.nodes.span_ns)
+    made = Run(folder.find(run))
+    bar = run_progress_bar(*made.span_ns)
     if with_ is not None:
         with bar as progress:
-            would = nodes.what_if(made, with_, only=node, progress=progress)
+            would = again.what_if(made, with_, only=node, progress=progress)
         show(would, lambda: replay_text.what_if_text(would), as_json=as_json)
         return 0
     with bar as progress:
-        verdict = nodes.replay(made, only=node, progress=progress)
+        verdict = again.replay(made, only=node, progress=progress)
     show(verdict, lambda: replay_text.text(verdict), as_json=as_json)
     return 0 if verdict.identical else 1
 

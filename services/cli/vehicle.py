@@ -70,7 +70,7 @@ def check(
         from ltv_mpc.geofence.fence import fence_for
 
         notes: list[str] = []
-        followed = references.load(reference)
+        followed = references.load(reference, notes)
         zones = fence_for(loaded, followed, fence or "", notes)
         picture = mission_check.picture(loaded, followed, zones, place)
         mission = mission_check.check_mission(

@@ -6,18 +6,17 @@ Each command opens its own session and closes it again, because buttons are pres
 from __future__ import annotations
 
 import enum
-import time
-from typing import Annotated, TypeAlias
+from typing import Annotated
 
 import msgspec
 from msgspec import Meta
 
-from ltv_mpc.messages import Acknowledgement, Action, ClockCommand, Disturbance, Kill, Message, RejectedFrame
+from ltv_mpc.messages import Action, ClockCommand, Disturbance, Kill, Message
 from services.bus.options import BusOptions
 from services.bus.outbox import Outbox, new_epoch
-from services.bus.session import BusError, Session, Stopped, open_session
+from services.bus.session import Session
 from services.bus.topics import OPERATOR
-from services.processes.operator import TIMEOUT_S, send_command
+from services.processes.operator import Outcome, on_bus, send_command
 
 KICK_S = 2.0
 KICK_N = (0.0, 120.0, 0.0)
@@ -64,30 +63,20 @@ class ButtonReply(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", t
     text: str
 
 
-Outcome: TypeAlias = tuple[bool, str]
-"""Whether a command was done, and what the page says."""
-
-
 def do(request: ButtonRequest, bus: BusOptions, t_ns: int | None, speed: float) -> ButtonReply:
-    """Execute a command and return its result, within twice ``TIMEOUT_S``.
+    """Execute a command and return its result, within twice the ``TIMEOUT_S`` of an operator.
 
     ``t_ns`` is the vehicle time, None if unknown; ``speed`` is the requested speed of the clock.
     """
-    until = time.monotonic() + TIMEOUT_S
-    try:
-        with open_session(bus, stop=lambda: time.monotonic() > until, say=lambda _: None) as session:
-            done, text = _outcome(request, session, t_ns, speed)
-    except Stopped:
-        done, text = False, f"no router within {TIMEOUT_S:.0f} s"
-    except BusError as error:
-        done, text = False, str(error)
-    return ButtonReply(number=request.number, done=done, text=text)
+    done, texts = on_bus(bus, lambda session: _outcome(request, session, t_ns, speed))
+    return ButtonReply(number=request.number, done=done, text="; ".join(texts))
 
 
 def _outcome(request: ButtonRequest, session: Session, t_ns: int | None, speed: float) -> Outcome:
     match request.button:
         case Button.ARM | Button.DISARM | Button.STOP | Button.HOLD | Button.CLEAR:
-            return _by_controller(request.button, send_command(session, Action(request.button.value)))
+            done, texts = send_command(session, Action(request.button.value))
+            return done, [f"{request.button.value}: {texts[0]}", *texts[1:]]
         case Button.PAUSE | Button.RESUME | Button.SPEED:
             asked = request.speed if request.button is Button.SPEED else speed
             what = f"{asked:g} x real time" if request.button is Button.SPEED else f"{request.button.value} the clock"
@@ -99,24 +88,11 @@ def _outcome(request: ButtonRequest, session: Session, t_ns: int | None, speed: 
             kick = Disturbance(end_t_ns=t_ns + round(KICK_S * 1e9), force_N=KICK_N)
             return _sent(session, kick, f"pushed east with {KICK_N[1]:g} N for {KICK_S:g} s")
         case Button.KICK:
-            return False, "no clock message and no estimate received yet: vehicle time is unknown"
+            return False, ["no clock message and no estimate received yet: vehicle time is unknown"]
     raise AssertionError("the page itself handles it")
-
-
-def _by_controller(button: Button, answer: Acknowledgement | RejectedFrame | None) -> Outcome:
-    match answer:
-        case Acknowledgement(accepted=True):
-            text = f"{button.value} accepted; command authority: {answer.authority.value}"
-            return True, "; ".join((text, *answer.warnings))
-        case Acknowledgement():
-            return False, f"{button.value} rejected: {answer.why}"
-        case RejectedFrame():
-            return False, f"{button.value} rejected by {answer.node}: {answer.reason}"
-        case None:
-            return False, f"no reply from a controller within {TIMEOUT_S:.0f} s"
 
 
 def _sent(session: Session, message: Message, text: str) -> Outcome:
     """Publish a message that has no acknowledgement; its effect shows on the page."""
     Outbox(session, node=OPERATOR, epoch=new_epoch(), kinds=(type(message),)).publish(message)
-    return True, text
+    return True, [text]

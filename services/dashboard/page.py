@@ -25,10 +25,9 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from ltv_mpc.errors import format_value
-from services.bus.options import BusOptions
 from services.dashboard.access_guard import AccessGuard, Token
 from services.dashboard.bus_feed import BusFeed
-from services.dashboard.commands import SIMULATED, Button, ButtonReply, ButtonRequest, do
+from services.dashboard.commands import SIMULATED, Button, ButtonReply, ButtonRequest
 from services.dashboard.config import About, View
 from services.dashboard.stream import MAX_READERS, Reader, Stream
 from services.reporting import static_files
@@ -201,8 +200,3 @@ async def _reply(text: str, reader: Reader, commands: _Commands) -> ButtonReply 
         feed.beat()
         return None
     return await asyncio.to_thread(commands.command, request, feed.t_ns(), moment.requested_speed)
-
-
-def commander(bus: BusOptions) -> Do:
-    """Return the function that executes commands on this bus."""
-    return lambda request, t_ns, speed: do(request, bus, t_ns, speed)

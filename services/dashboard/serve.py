@@ -20,6 +20,7 @@ from services.bus.session import open_session
 from services.dashboard import page
 from services.dashboard.access_guard import LOOPBACK, Token, headers, hosts
 from services.dashboard.bus_feed import BusFeed
+from services.dashboard.commands import do
 from services.dashboard.config import Config, View
 from services.dashboard.connection import IDLE_S, Connection
 from services.reporting.static_files import report_scripts
@@ -66,7 +67,7 @@ def main(config: Config) -> int:
                 token,
                 allowed=hosts({*LOOPBACK, named}, port),
                 about=msgspec.structs.replace(config.about, bus=bus.namespace or ", ".join(bus.connects_to)),
-                command=page.commander(bus),
+                command=lambda request, t_ns, speed: do(request, bus, t_ns, speed),
                 on_view=_write if config.of_a_run else lambda _: None,
             )
             bound.listen()  # clients that connect before the server runs wait for it

@@ -13,7 +13,6 @@ import math
 
 import numpy as np
 
-from ltv_mpc.frames import skew
 from ltv_mpc.messages import Array
 from services.edges.edge import Refused
 
@@ -36,6 +35,11 @@ def rotation(w: float, x: float, y: float, z: float) -> Array:
     )
 
 
+def wrapped(angle: float) -> float:
+    """Return an angle in [-pi, pi]. That of ``ltv_mpc.frames`` is compiled, for which each process needs 40 MB."""
+    return math.remainder(angle, math.tau)
+
+
 def covariance(R: Array, velocity: Array, rate: Array, pose: Array, twist: Array) -> Array:
     """Return the covariance (6, 6) of north, east, velocity north, east, heading and yaw rate.
 
@@ -48,7 +52,7 @@ def covariance(R: Array, velocity: Array, rate: Array, pose: Array, twist: Array
     """
     P = np.zeros((12, 12))
     P[:6, :6], P[6:, 6:] = pose, twist
-    velocity_by_turn, rate_by_turn = -skew(velocity), -skew(rate)
+    velocity_by_turn, rate_by_turn = -np.cross(np.eye(3), velocity), -np.cross(np.eye(3), rate)  # -[v], -[w]
     J = np.zeros((6, 12))
     J[0, 0] = J[1, 1] = J[4, 5] = 1.0
     J[2:4, 3:6], J[2:4, 6:9] = velocity_by_turn[:2], R[:2]

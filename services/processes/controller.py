@@ -19,6 +19,7 @@ from ltv_mpc.control.config import ControllerConfig, ResolvedConfig
 from ltv_mpc.control.failed_qp import NamedQp
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.control.ocp import assembly
+from ltv_mpc.control.ocp.problem import Problem
 from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.control.solvers import Solver, make
 from ltv_mpc.control.solvers.interface import Result
@@ -50,9 +51,9 @@ from services.run.settings_files import TOO_LARGE, controller_files, node_settin
 from services.runtime import metrics as prometheus
 from services.runtime.console import Console
 from services.runtime.controller_status import ControllerStatusReporter, StatusSink, status_line
+from services.runtime.lifeline import LIFELINE
 from services.runtime.process_time import ClockOptions
 from services.runtime.runner import Runner
-from services.runtime.service_manager import SERVICE_MANAGER
 from services.runtime.stage_timer import StageTimer
 from services.runtime.stopping import FAILED, Say
 
@@ -61,13 +62,14 @@ Config = settings.Controller
 
 def main(config: Config) -> int:
     """Run the controller node until it is stopped. Returns the exit code."""
-    vehicle, reference = Vehicle.load(config.vehicle), references.load(config.reference)
+    notes: list[str] = []
+    vehicle, reference = Vehicle.load(config.vehicle), references.load(config.reference, notes)
     fence_file, soundings, arms_within_s = config.fence or "", config.bathymetry or "", config.arms_within_s
-    fence = fence_for(vehicle, reference, fence_file)
+    fence = fence_for(vehicle, reference, fence_file, notes)
     control, bus = config.resolved(), config.bus
     bottom = bathymetry_for(reference, control.limits, soundings)
     metrics, console = prometheus.Metrics(), Console(ControllerNode.name, as_json=config.log_json)
-    SERVICE_MANAGER.connect(os.environ)
+    LIFELINE.connect(os.environ)
     with contextlib.ExitStack() as stack:
         if config.metrics is not None:
             try:
@@ -79,9 +81,9 @@ def main(config: Config) -> int:
         if config.state is not None:
             checkpoint = Checkpoint(config.state, to_toml(reference), resume_within_s=arms_within_s, console=console)
             stack.callback(checkpoint.close)
-        SERVICE_MANAGER.status("compiling")
+        LIFELINE.status("compiling")
         warm_up(vehicle, reference, control)
-        SERVICE_MANAGER.status("waiting for the router")
+        LIFELINE.status("waiting for the router")
         node_stages = StageTimer()
         files = controller_files(config.vehicle, config.reference, fence_file, soundings, control)
         published = node_settings(ControllerNode.name, files)
@@ -95,10 +97,11 @@ def main(config: Config) -> int:
         def show(status: ControllerStatus) -> None:
             line = status_line(status, key_in(bus, BY_TYPE[Estimate]))
             console.show(line)
-            SERVICE_MANAGER.status(line)
+            LIFELINE.status(line)
 
         for text in (
             *announcement(bus, control),
+            *notes,
             *reference.notes(vehicle),
             *([TOO_LARGE] if published is None else []),
         ):
@@ -194,8 +197,8 @@ def warm_up(vehicle: Vehicle, reference: Reference, config: ControllerConfig) ->
     class FailingSolver(RecordingSolver):
         """Solver that fails on demand."""
 
-        def solve(self) -> Result:
-            result = super().solve()
+        def solve(self, problem: Problem, shift: float, *, last: bool = True) -> Result:
+            result = super().solve(problem, shift, last=last)
             return result._replace(solve=Solve(status=SolveStatus.FAILED)) if fails else result
 
     def make_failing(*settings: Any) -> Solver:
@@ -227,9 +230,7 @@ def warm_up_solver(vehicle: Vehicle, config: ResolvedConfig) -> None:
     """Compile what ``warm_up`` compiles last, so that two processes share the work."""
     solver, problem = make(vehicle, config), assembly.empty(config.stages)
     problem.H[:, :, :] = np.eye(problem.H.shape[1])
-    solver.build(problem)
-    solver.update()
-    solver.solve()
+    solver.solve(problem, math.nan)
     plan = Plan(
         cycle_t_ns=0,
         t_ns=np.arange(2, dtype=np.int64),

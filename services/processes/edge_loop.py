@@ -32,24 +32,6 @@ class Link(Protocol):
         ...
 
 
-class SenderLimit:
-    """Limit of the frames that a link receives in a second: so many of each sender, and so many senders."""
-
-    def __init__(self, frames: int, senders: int) -> None:
-        self._frames, self._senders = frames, senders
-        self._second_s, self._counts = 0.0, dict[str, int]()
-
-    def admits(self, sender: str, now_s: float) -> bool:
-        """Return True if the sender has not used up its share of this second."""
-        if now_s >= self._second_s + 1.0:
-            self._second_s, self._counts = now_s, {}
-        count = self._counts.get(sender, 0)
-        if count >= self._frames or (count == 0 and len(self._counts) >= self._senders):
-            return False
-        self._counts[sender] = count + 1
-        return True
-
-
 class EdgeLoop:
     """Loop of one edge between a session of this bus and a link."""
 

@@ -19,9 +19,8 @@ from services.run.settings_files import TOO_LARGE, estimator_files, node_setting
 from services.run.water import load_prior
 from services.runtime.clock import monotonic_us
 from services.runtime.console import Console
+from services.runtime.lifeline import LIFELINE
 from services.runtime.runner import Runner
-from services.runtime.service_manager import SERVICE_MANAGER
-from services.runtime.supervisor_link import SUPERVISOR_LINK
 
 Config = settings.Estimator
 
@@ -34,23 +33,17 @@ def main(config: Config) -> int:
         raise ConfigError(f"vehicle {config.vehicle}: [reference_point]", "", problem)
     sensor_config, filter_config = SensorConfig.load(config.sensors), config.loaded()
     prior = load_prior(filter_config)
-    SERVICE_MANAGER.connect(os.environ)
-    SERVICE_MANAGER.status("compiling")
+    LIFELINE.connect(os.environ)
+    LIFELINE.status("compiling")
     warm_up(sensor_config, filter_config)
-    SERVICE_MANAGER.status("waiting for the router")
+    LIFELINE.status("waiting for the router")
     published = node_settings(Estimator.name, estimator_files(config.sensors, filter_config))
     console = Console(Estimator.name, as_json=config.log_json)
     if published is None:
         console.say(TOO_LARGE)
-    node = Estimator(sensor_config, filter_config, prior, progress=_beat)
+    # Signs of life during a long computation.
+    node = Estimator(sensor_config, filter_config, prior, progress=lambda: LIFELINE.beat(monotonic_us()))
     return Runner(node, settings=published).main(console, config.bus)
-
-
-def _beat() -> None:
-    """Report a sign of life during a long computation."""
-    now_us = monotonic_us()
-    SUPERVISOR_LINK.beat(now_us)
-    SERVICE_MANAGER.beat(now_us)
 
 
 def warm_up(sensor_config: SensorConfig, config: EstimatorConfig) -> None:

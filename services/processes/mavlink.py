@@ -16,13 +16,15 @@ from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.mailbox import Mailbox
 from services.bus.options import invalid
 from services.bus.outbox import new_epoch
+from services.bus.rate_limit import SourceLimit
 from services.bus.session import BusError, open_session
 from services.edges.edge import Outgoing
 from services.edges.mavlink.codec import MARKERS, Codec
 from services.edges.mavlink.edge import MavlinkEdge, Settings
 from services.edges.mavlink.navigation import Accuracy
 from services.processes import settings
-from services.processes.edge_loop import EdgeLoop, SenderLimit
+from services.processes.edge_loop import EdgeLoop
+from services.runtime.clock import monotonic_us
 from services.runtime.console import Console
 from services.runtime.serve import run_until_stopped
 from services.runtime.stopping import Say, StopRequest
@@ -105,7 +107,7 @@ class UdpLink:
         self._mailbox = mailbox
         self._given = None if listens else (host, port)
         self._peer = ""
-        self._strangers = SenderLimit(FROM_STRANGER, STRANGERS)
+        self._strangers = SourceLimit(FROM_STRANGER, STRANGERS)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._socket.bind((host, port) if listens else ("", 0))
@@ -164,7 +166,7 @@ class UdpLink:
 
     def _offer(self, payload: bytes, address: tuple[str, int], peer: str) -> None:
         sender = f"{address[0]}:{address[1]}"
-        if sender == peer or (payload[:1] in MARKERS and self._strangers.admits(sender, time.monotonic())):
+        if sender == peer or (payload[:1] in MARKERS and self._strangers.admits(sender, monotonic_us())):
             self._mailbox.offer(None, sender, payload)
         else:
             self._mailbox.overflowed += 1

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, TypeAlias
 
 from ltv_mpc.messages import Acknowledgement, Action, Command, Heartbeat, RejectedFrame
 from services.bus.mailbox import Mailbox
@@ -20,6 +20,9 @@ from services.runtime.stopping import DONE, FAILED, Say, StopRequest
 
 TIMEOUT_S = 3.0
 """Longest wait for a router, and again for the answer. A control cycle takes a third of a second."""
+
+Outcome: TypeAlias = tuple[bool, Sequence[str]]
+"""Whether something was done, and what to say of it: first the result, then warnings."""
 
 HEARTBEAT_S = BY_TYPE[Heartbeat].period_ns * 1e-9
 
@@ -42,27 +45,30 @@ def main(action: Action, fields: Mapping[str, Any], bus: BusOptions) -> int:
     Returns 0 if the controller accepted it, else prints the reason to stderr and returns 1.
     """
     say = Console(f"ctl {action.value}").say
+    done, (text, *warnings) = on_bus(bus, lambda session: send_command(session, action, **fields), say)
+    if not done:
+        say(text)
+        return FAILED
+    sys.stdout.write(f"{text}\n")
+    for warning in warnings:
+        say(warning)
+    return DONE
+
+
+def on_bus(bus: BusOptions, act: Callable[[Session], Outcome], say: Say = lambda _: None) -> Outcome:
+    """Return the outcome of an act on a session of its own, or why the session cannot be opened in ``TIMEOUT_S``."""
     until = time.monotonic() + TIMEOUT_S
     try:
         with open_session(bus, stop=lambda: time.monotonic() > until, say=say) as session:
-            answer = send_command(session, action, **fields)
+            return act(session)
     except Stopped:
-        say(f"no router within {TIMEOUT_S:.0f} s")
-        return FAILED
+        return False, [f"no router within {TIMEOUT_S:.0f} s"]
     except BusError as error:
-        say(str(error))
-        return FAILED
-    if isinstance(answer, Acknowledgement) and answer.accepted:
-        sys.stdout.write(f"accepted; command authority: {answer.authority.value}\n")
-        for warning in answer.warnings:
-            say(warning)
-        return DONE
-    say(_reason(answer))
-    return FAILED
+        return False, [str(error)]
 
 
-def send_command(session: Session, action: Action, **fields: Any) -> Acknowledgement | RejectedFrame | None:
-    """Send a command; return the controller's answer, the rejection of the frame, or None without an answer."""
+def send_command(session: Session, action: Action, **fields: Any) -> Outcome:
+    """Send a command, and return the controller's answer."""
     box = Mailbox()
     for kind, suffix in ((Acknowledgement, ""), (RejectedFrame, "/*")):
         session.subscribe(f"{BY_TYPE[kind].key}{suffix}", BY_TYPE[kind], box)
@@ -73,19 +79,11 @@ def send_command(session: Session, action: Action, **fields: Any) -> Acknowledge
     while (left := until - time.monotonic()) > 0:
         frame = box.take(left)
         found = None if frame is None else valid_message(frame.topic, frame.key, frame.payload)
-        message = None if found is None else found[0]
-        if isinstance(message, Acknowledgement) and message.command_id == command.command_id:
-            return message
-        if isinstance(message, RejectedFrame) and (message.key, message.crc) == (sent.key, sent.crc):
-            return message
-    return None
-
-
-def _reason(answer: Acknowledgement | RejectedFrame | None) -> str:
-    match answer:
-        case Acknowledgement():
-            return f"rejected: {answer.why}; command authority: {answer.authority.value}"
-        case RejectedFrame():
-            return f"rejected by {answer.node}: {answer.reason}"
-        case None:
-            return f"no reply from a controller within {TIMEOUT_S:.0f} s: is one running at this router and namespace?"
+        match None if found is None else found[0]:
+            case Acknowledgement(command_id=command.command_id) as answer:
+                word = "accepted" if answer.accepted else f"rejected: {answer.why}"
+                return answer.accepted, [f"{word}; command authority: {answer.authority.value}", *answer.warnings]
+            case RejectedFrame(key=sent.key, crc=sent.crc) as answer:
+                return False, [f"rejected by {answer.node}: {answer.reason}"]
+    problem = f"no reply from a controller within {TIMEOUT_S:.0f} s: is one running at this router and namespace?"
+    return False, [problem]

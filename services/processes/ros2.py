@@ -12,6 +12,7 @@ from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.mailbox import Mailbox
 from services.bus.options import check_namespace, invalid
 from services.bus.outbox import new_epoch
+from services.bus.rate_limit import SourceLimit
 from services.bus.session import ForeignReceiver, Publisher, QueryReceiver, Reply, Session, configuration, open_session
 from services.edges.edge import Outgoing, Refused
 from services.edges.ros2.conversions import Settings
@@ -19,7 +20,8 @@ from services.edges.ros2.edge import MAX_REQUESTS, Ros2Edge
 from services.edges.ros2.middleware import GID_BYTES, Attachment, Bridge, RmwZenoh, gid_of, is_topic
 from services.edges.ros2.topics import BY_NAME, IN, OUT, Row, rows
 from services.processes import settings
-from services.processes.edge_loop import EdgeLoop, SenderLimit
+from services.processes.edge_loop import EdgeLoop
+from services.runtime.clock import monotonic_us
 from services.runtime.console import Console
 from services.runtime.serve import run_until_stopped
 from services.runtime.stopping import Say, StopRequest
@@ -95,7 +97,7 @@ class RosLink:
         self._replies: dict[str, tuple[Reply, bytes]] = {}
         self._mailbox = mailbox
         self._requests = 0
-        self._limit = SenderLimit(FROM_PUBLISHER, PUBLISHERS)
+        self._limit = SourceLimit(FROM_PUBLISHER, PUBLISHERS)
         tokens = middleware.tokens(rows, session.identifier)
         for at, row in enumerate(rows, start=1):
             key = middleware.key(row)
@@ -126,7 +128,7 @@ class RosLink:
 
     def _receiver(self, name: str) -> ForeignReceiver:
         def on_sample(payload: bytes, attachment: bytes) -> None:
-            if self._limit.admits(f"{name} {attachment[-GID_BYTES:].hex()}", time.monotonic()):
+            if self._limit.admits((name, attachment[-GID_BYTES:]), monotonic_us()):
                 self._mailbox.offer(None, name, payload, attachment)
             else:
                 self._mailbox.overflowed += 1

@@ -23,9 +23,9 @@ from services.bus.wire import WireError, decode
 from services.processes import settings
 from services.runtime.clock import ClockError, VehicleClock, monotonic_us
 from services.runtime.console import Console, tenfold
+from services.runtime.lifeline import HEARTBEAT_PERIOD_US, LIFELINE
 from services.runtime.serve import run_until_stopped
 from services.runtime.stopping import Say, StopRequest
-from services.runtime.supervisor_link import HEARTBEAT_PERIOD_US, SUPERVISOR_LINK
 
 Config = settings.Router
 
@@ -56,7 +56,7 @@ def main(config: Config) -> int:
             say(f"ready at {', '.join(endpoints)}")
             while not request.wait(PULSE_S):
                 now_us = monotonic_us()
-                SUPERVISOR_LINK.beat(now_us)
+                LIFELINE.beat(now_us)
                 if report is not None and now_us >= due_us:
                     due_us = now_us + STATUS_US
                     report.publish()

@@ -12,19 +12,25 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from ltv_mpc.messages import Applied, Clock, ControllerStatus, Estimate, Message, NodeStatus, Plan
-from ltv_mpc.safety.estimate_gate import EstimateGate
 from ltv_mpc.safety.input_monitor import SECOND_SOURCE, InputMonitor
 from ltv_mpc.safety.source_selector import remember
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.message_validation import SHARED, message_at
+from services.bus.roles import ANYONE, DISPLAY, ROLES
 from services.bus.sequence_check import FAR_AHEAD, MAX_FIRST, MAX_SILENCE_US, MIN_SILENCE_US, SequenceCheck
 from services.bus.topics import OPERATOR, Topic, topic_at
 from services.bus.wire import Header, WireError
 from services.recording.loss_accounting import LossAccounting
 from services.recording.reader import StoredMessage
+
+if TYPE_CHECKING:
+    from ltv_mpc.safety.estimate_gate import EstimateGate
+
+NODES = frozenset(ROLES) - {DISPLAY, OPERATOR}
+"""Names whose messages count on the keys of every node: what others publish there nobody reads, lost or not."""
 
 MAX_HELD = 32
 """Plans of other controllers that are kept until the actuators follow one of them."""
@@ -32,7 +38,7 @@ MAX_HELD = 32
 LATE = "late"
 """Reason of a refused message that was missing until it came: it was published, and is not lost."""
 
-MANY_SOURCES = ("*", OPERATOR)
+MANY_SOURCES = (ANYONE, OPERATOR)
 """Writers of the table that stand for several sources."""
 
 
@@ -58,7 +64,11 @@ class Acceptance:
         self._order = SequenceCheck()
         self._unconfirmed: dict[tuple[str, int], tuple[int, Accepted | None]] = {}  # first ones behind a gap
         self._writers: dict[str, tuple[int, int]] = {}  # epoch and newest message (us) of each process
-        self._gate = None if vehicle is None else EstimateGate(vehicle)
+        self._gate: EstimateGate | None = None
+        if vehicle is not None:
+            from ltv_mpc.safety.estimate_gate import EstimateGate  # numba: 20 MB that a recorder does not need
+
+            self._gate = EstimateGate(vehicle)
         self._monitor = InputMonitor()
         self._commander = 0  # epoch of the controller whose plans are followed; 0: unknown
         self._held: deque[Accepted] = deque(maxlen=MAX_HELD)
@@ -68,7 +78,8 @@ class Acceptance:
     def count(self, topic: Topic, key: str, header: Header, received_us: int) -> str:
         """Check the order of a message and count it. Return why it is refused; empty if it is accepted."""
         (epoch, sequence), kind = (header.epoch, header.sequence), topic.message_type
-        writer = key.rpartition("/")[2] if kind is NodeStatus else topic.written_by
+        node = key.rpartition("/")[2]
+        writer = node if kind is NodeStatus else topic.written_by
         single = kind not in SHARED and writer not in MANY_SOURCES
         if single:
             active, at_us = self._writers.get(writer, (epoch, 0))
@@ -80,6 +91,8 @@ class Acceptance:
             return LATE if self.losses.fill(key, epoch, sequence) else str(error)
         if single:
             self._writers[writer] = epoch, received_us
+        if topic.written_by == ANYONE and node not in NODES:
+            return ""
         if sequence > MAX_FIRST:  # so many messages are not lost before the first one: its sender began elsewhere
             self.losses.start_at(key, epoch, sequence)
         self.losses.add(key, epoch, sequence)

@@ -8,6 +8,7 @@ the CRC identifies the one that the node received.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import takewhile
 
 import msgspec
 
@@ -32,36 +33,34 @@ FIRST_STEP = "the record of its first step, which it published before the record
 
 
 class Frames:
-    """Frames in the order of the file. ``at`` is the position in the file, by which old frames are discarded."""
+    """Frames in the order of the file, until they are used or too old: each by its key, epoch, sequence and CRC."""
 
     def __init__(self) -> None:
-        self._of_source: dict[tuple[str, int], dict[int, list[tuple[int, StoredMessage]]]] = {}
+        self._frames: dict[tuple[str, int, int, int], tuple[int, StoredMessage]] = {}  # with the position in the file
 
     def add(self, stored: StoredMessage, header: wire.Header, at: int) -> None:
-        """Add a message of the file."""
-        source = self._of_source.setdefault((stored.key, header.epoch), {})
-        source.setdefault(header.sequence, []).append((at, stored))
+        """Add the message at position ``at`` of the file."""
+        self._frames.setdefault((stored.key, header.epoch, header.sequence, stored.crc), (at, stored))
 
     def find(self, entry: InboxEntry) -> StoredMessage | None:
         """Return the frame that the node received; None if it is not here."""
-        copies = self._of_source.get((entry.key, entry.epoch), {}).get(entry.sequence, ())
-        return next((stored for _, stored in copies if stored.crc == entry.crc), None)
+        return self._frames.get(_identity(entry), (0, None))[1]
 
-    def discard_through(self, entry: InboxEntry) -> None:
-        """Discard the frames of the entry's source up to this one: a node accepts growing sequence numbers only."""
-        source = self._of_source[entry.key, entry.epoch]
-        for sequence in [sequence for sequence in source if sequence <= entry.sequence]:
-            del source[sequence]
+    def discard(self, entry: InboxEntry) -> None:
+        """Discard the frame, which a node accepts once."""
+        self._frames.pop(_identity(entry), None)
 
     def discard_before(self, before: int) -> None:
         """Discard the frames before position ``before``."""
-        for source in self._of_source.values():
-            for sequence in [sequence for sequence, copies in source.items() if copies[-1][0] < before]:
-                del source[sequence]
-        self._of_source = {name: source for name, source in self._of_source.items() if source}
+        for frame in list(takewhile(lambda frame: self._frames[frame][0] < before, self._frames)):
+            del self._frames[frame]
 
     def __len__(self) -> int:
-        return sum(map(len, self._of_source.values()))
+        return len(self._frames)
+
+
+def _identity(entry: InboxEntry) -> tuple[str, int, int, int]:
+    return entry.key, entry.epoch, entry.sequence, entry.crc
 
 
 def received_message(stored: StoredMessage, entry: InboxEntry) -> ReceivedMessage:
@@ -143,7 +142,7 @@ class Epoch:
             self._stop(f"this version does not know the message: {error}", step.t_ns)
             return
         for entry in step.inbox:
-            self._frames.discard_through(entry)
+            self._frames.discard(entry)
         if self._node is None:
             try:
                 self._node = self._make()

@@ -7,9 +7,9 @@ holds the same files of controller and estimator, as these published them at eac
 from __future__ import annotations
 
 import contextlib
-import dataclasses
+import copy
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import msgspec
@@ -30,7 +30,9 @@ from ltv_mpc.settings_schema import flat
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.recording.node_settings import NoSettingsError, SettingsByStart, published_settings, vehicle_name
 from services.recording.reader import Recording
+from services.recording.recover import segments
 from services.replay.verdict import Change
+from services.run.folder import write_files
 from services.run.nodes import make_nodes
 from services.run.run_config import SCENARIO, RunConfig, resolve
 from services.run.settings_files import BATHYMETRY
@@ -49,25 +51,46 @@ EVERY_START = 0
 """In place of an epoch, which is never 0: the settings of a simulation are the same at each start."""
 
 
-@dataclasses.dataclass(frozen=True)
-class RecordedNodes:
-    """Nodes of a recording that can be replayed: those aboard from their settings files, by the epoch of each start.
+class Run:
+    """Recording of a run, and its nodes that can be replayed: those aboard from their settings files, by their starts.
 
-    In a simulation, ``world`` is the configuration of its run.
+    Raises ``ConfigError`` if it has no valid settings of any node.
     """
 
-    source: str
-    settings: SettingsByStart
-    span_ns: tuple[int, int]
-    """Vehicle times of the start and the end."""
-    world: RunConfig | None = None
-    replacing: Mapping[str, Path] = dataclasses.field(default_factory=dict)
+    def __init__(self, path: Path) -> None:
+        self.path, self._source = path, f"recording {path}"
+        self.metadata = metadata_of(path)
+        self._world = run_config_of(self.metadata, source=self._source) if SCENARIO in self.metadata else None
+        self._replacing: Mapping[str, Path] = {}
+        self._settings: SettingsByStart
+        self.span_ns: tuple[int, int]
+        """Vehicle times of the start and the end."""
+        if self._world is not None:
+            scenario = self._world.scenario
+            aboard = [ControllerNode.name] if scenario.run.perfect_state else [Estimator.name, ControllerNode.name]
+            files, made_by = dict(self.metadata), scenario.made_by or {}
+            self._settings = {
+                name: {EVERY_START: NodeSettings(node=name, files=files, made_by=made_by)} for name in aboard
+            }
+            self.span_ns = scenario.start_ns, scenario.end_ns
+            return
+        self._settings, self.span_ns = published_settings(self.recordings())
+        if not self._settings.keys() & SETTINGS.keys():
+            problem = (
+                f"has no settings to build a node from: neither those of a simulation ({SCENARIO}) nor those that a "
+                "controller or an estimator beside the recorder publishes"
+            )
+            raise ConfigError(self._source, "", problem)
+
+    def recordings(self) -> list[Recording]:
+        """Return the file and the segments that restarted recorders have left beside it."""
+        return [Recording(part) for part in segments(self.path)]
 
     @property
     def title(self) -> str:
         """Name of the scenario, or of the vehicle, from the controller's file."""
-        if self.world is not None:
-            return self.world.name
+        if self._world is not None:
+            return self._world.name
         name = ControllerNode.name
         return vehicle_name(self._of(name, None).files) if name in self.names else "vehicle"
 
@@ -79,20 +102,28 @@ class RecordedNodes:
     @property
     def names(self) -> tuple[str, ...]:
         """Nodes that can be replayed, in the order of the process table."""
-        aboard = tuple(name for name in (Estimator.name, ControllerNode.name) if name in self.settings)
-        return aboard if self.world is None else (Plant.name, Sensors.name, *aboard)
+        aboard = tuple(name for name in (Estimator.name, ControllerNode.name) if name in self._settings)
+        return aboard if self._world is None else (Plant.name, Sensors.name, *aboard)
+
+    def only(self, node: str | None) -> tuple[str, ...]:
+        """Return the node ``node``, or all for None. Raises ``ConfigError`` if the run does not have it."""
+        if node is None:
+            return self.names
+        if node not in self.names:
+            raise ConfigError("option --node", "", f"must be one of {', '.join(self.names)}", value=node)
+        return (node,)
 
     def make(self, name: str, epoch: int | None = None) -> Node:
         """Build a new node, as at the start of its process; ``epoch``: the start, None: any.
 
         Raises ``NoSettingsError``, and ``ConfigError`` if the settings are rejected.
         """
-        world = self.world
-        if world is not None and name not in self.settings:
+        world = self._world
+        if world is not None and name not in self._settings:
             return next(node for node in make_nodes(world) if node.name == name)
-        with _unpacked(self._of(name, epoch).files, source=self.source) as place:
+        with _unpacked(self._of(name, epoch).files, source=self._source) as place:
             folder = place / "config"
-            settings = self._settings(name, folder)
+            settings = self._settings_in(name, folder)
             if isinstance(settings, EstimatorConfig):
                 return Estimator(SensorConfig.load(str(folder / "sensors.toml")), settings, load_prior(settings))
             vehicle, fence = Vehicle.load(str(folder / "vehicle.toml")), folder / "fence.toml"
@@ -106,28 +137,26 @@ class RecordedNodes:
 
     def settings_of(self, name: str) -> ControllerConfig | EstimatorConfig:
         """Return the settings of a node that may be replaced, at its newest start."""
-        with _unpacked(self._of(name, None).files, source=self.source) as place:
-            return self._settings(name, place / "config")
+        with _unpacked(self._of(name, None).files, source=self._source) as place:
+            return self._settings_in(name, place / "config")
 
-    def with_settings(self, name: str, path: Path) -> RecordedNodes:
-        """Return the nodes with the settings in ``path`` for one of them, at all of its starts.
-
-        Raises ``ConfigError``.
-        """
-        changed = dataclasses.replace(self, replacing={**self.replacing, name: path})
+    def with_settings(self, name: str, path: Path) -> Run:
+        """Return the run with the settings in ``path`` for one node, at all of its starts. Raises ``ConfigError``."""
+        changed = copy.copy(self)
+        changed._replacing = {name: path}
         changed.settings_of(name)
         return changed
 
-    def _settings(self, name: str, folder: Path) -> ControllerConfig | EstimatorConfig:
+    def _settings_in(self, name: str, folder: Path) -> ControllerConfig | EstimatorConfig:
         """Return the settings of a node from the files of its start in ``folder``, or from the file in their place."""
-        path = self.replacing.get(name, folder / f"{name}.toml")
+        path = self._replacing.get(name, folder / f"{name}.toml")
         settings = _load(name, path)
         if isinstance(settings, EstimatorConfig):
             return settings
         return settled(settings, Vehicle.load(str(folder / "vehicle.toml")), source=f"controller settings {path}")
 
     def _of(self, name: str, epoch: int | None) -> NodeSettings:
-        starts = self.settings[name]
+        starts = self._settings[name]
         newest = next(reversed(starts.values()))
         found = newest if epoch is None else starts.get(epoch, starts.get(EVERY_START))
         if found is None:
@@ -135,23 +164,11 @@ class RecordedNodes:
         return found
 
 
-def nodes_of(recordings: Sequence[Recording], metadata: Mapping[str, str], *, source: str) -> RecordedNodes:
-    """Return the nodes of a run's recordings, with its ``metadata``. Raises ``ConfigError``."""
-    if SCENARIO in metadata:
-        world = run_config_of(metadata, source=source)
-        scenario = world.scenario
-        aboard = [ControllerNode.name] if scenario.run.perfect_state else [Estimator.name, ControllerNode.name]
-        start = {name: NodeSettings(node=name, files=dict(metadata), made_by=scenario.made_by or {}) for name in aboard}
-        of_each = {name: {EVERY_START: of} for name, of in start.items()}
-        return RecordedNodes(source, of_each, (scenario.start_ns, scenario.end_ns), world)
-    settings, span_ns = published_settings(recordings)
-    if not settings.keys() & SETTINGS.keys():
-        problem = (
-            f"has no settings to build a node from: neither those of a simulation ({SCENARIO}) nor those that a "
-            "controller or an estimator beside the recorder publishes"
-        )
-        raise ConfigError(source, "", problem)
-    return RecordedNodes(source, settings, span_ns)
+def metadata_of(path: Path) -> Mapping[str, str]:
+    """Return the metadata of a recording. Raises ``ConfigError`` if it is not a recording."""
+    recording = Recording(path)
+    next(recording.stored(), None)
+    return recording.metadata
 
 
 def run_config_of(metadata: Mapping[str, str], *, source: str) -> RunConfig:
@@ -171,16 +188,16 @@ def node_of(path: Path) -> str:
     return fits[0]
 
 
-def replaced(nodes: RecordedNodes, path: Path) -> tuple[str, RecordedNodes, tuple[Change, ...]]:
-    """Return the node whose settings the file has, the nodes with these settings, and the changes.
+def replaced(run: Run, path: Path) -> tuple[str, Run, tuple[Change, ...]]:
+    """Return the node whose settings the file has, the run with these settings, and the changes.
 
     A missing key has its default, as for ``--settings``. Raises ``ConfigError``.
     """
     name = node_of(path)
-    if name not in nodes.names:
+    if name not in run.names:
         raise ConfigError(f"--with {path}", "", f"the recording has no {name} that can be replayed")
-    other = nodes.with_settings(name, path)
-    return name, other, _changes(nodes.settings_of(name), other.settings_of(name))
+    other = run.with_settings(name, path)
+    return name, other, _changes(run.settings_of(name), other.settings_of(name))
 
 
 def _load(name: str, path: Path) -> ControllerConfig | EstimatorConfig:
@@ -194,11 +211,9 @@ def _load(name: str, path: Path) -> ControllerConfig | EstimatorConfig:
 def _unpacked(files: Mapping[str, str], *, source: str) -> Iterator[Path]:
     """Write settings files into a temporary folder. A ``ConfigError`` of one of them names the recording."""
     with tempfile.TemporaryDirectory() as place:
-        for name, text in files.items():
-            path = Path(place, name)
-            if name.endswith((".toml", ".csv")) and path.resolve().is_relative_to(Path(place).resolve()):
-                path.parent.mkdir(parents=True, exist_ok=True)
-                path.write_text(text, encoding="utf-8")
+        root = Path(place).resolve()
+        inside = (name for name in files if (root / name).resolve().is_relative_to(root))
+        write_files(root, {name: files[name] for name in inside if name.endswith((".toml", ".csv"))})
         try:
             yield Path(place)
         except ConfigError as error:

@@ -13,11 +13,9 @@ from functools import partial
 from pathlib import Path
 
 from ltv_mpc.errors import ConfigError
-from services.recording.reader import Recording
-from services.recording.recover import segments
-from services.replay import nodes
 from services.replay.comparison import Comparison
 from services.replay.node_replay import NodeReplay, feed
+from services.replay.nodes import Run, replaced
 from services.replay.verdict import MAX_GAPS, Difference, NodeVerdict, ProvenanceDifference, Verdict, WhatIfVerdict
 from services.replay.what_if import WhatIf
 from services.run.provenance import provenance_table
@@ -25,36 +23,6 @@ from services.run.run_config import ORIGIN
 
 Progress = Callable[[int], None]
 """Callback that receives the vehicle time that the replay has reached."""
-
-
-class Run:
-    """Recording and the nodes in it. Raises ``ConfigError`` if it has no valid settings of any node."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.parts = segments(path)
-        self.metadata = metadata_of(path)
-        self.nodes = nodes.nodes_of(self.recordings(), self.metadata, source=f"recording {path}")
-        self.names = self.nodes.names
-
-    def recordings(self) -> list[Recording]:
-        """Return the file and the segments that restarted recorders have left beside it."""
-        return [Recording(part) for part in self.parts]
-
-    def only(self, node: str | None) -> tuple[str, ...]:
-        """Return the node ``node``, or all for None. Raises ``ConfigError`` if the run does not have it."""
-        if node is None:
-            return self.names
-        if node not in self.names:
-            raise ConfigError("option --node", "", f"must be one of {', '.join(self.names)}", value=node)
-        return (node,)
-
-
-def metadata_of(path: Path) -> Mapping[str, str]:
-    """Return the metadata of a recording. Raises ``ConfigError`` if it is not a recording."""
-    recording = Recording(path)
-    next(recording.stored(), None)
-    return recording.metadata
 
 
 # --- every output again ----------------------------------------------------------------------------------------------
@@ -68,7 +36,7 @@ def replay(run: Run, *, only: str | None = None, progress: Progress = lambda _: 
         span_ns[:] = min((t_ns, *span_ns)), max((t_ns, *span_ns))
         progress(t_ns)
 
-    parts = [NodeReplay(name, partial(run.nodes.make, name), partial(Comparison, name)) for name in run.only(only)]
+    parts = [NodeReplay(name, partial(run.make, name), partial(Comparison, name)) for name in run.only(only)]
     recordings = run.recordings()
     feed(recordings, parts, progress=advance)
     verdicts = tuple(map(_node_verdict, parts))
@@ -78,7 +46,7 @@ def replay(run: Run, *, only: str | None = None, progress: Progress = lambda _: 
     difference = _first(verdict.first_difference for verdict in verdicts)
     return Verdict(
         recording=str(run.path),
-        scenario=run.nodes.title,
+        scenario=run.title,
         mode=run.metadata.get("mode", ""),
         cut=any(recording.cut for recording in recordings),
         vehicle_s=vehicle_s,
@@ -90,7 +58,7 @@ def replay(run: Run, *, only: str | None = None, progress: Progress = lambda _: 
         steps_identical=identical,
         nodes=verdicts,
         first_difference=difference,
-        provenance_differences=provenance_differences(run.nodes.made_by),
+        provenance_differences=provenance_differences(run.made_by),
     )
 
 
@@ -124,7 +92,7 @@ def _first(differences: Iterable[Difference | None]) -> Difference | None:
 
 def what_if(run: Run, settings: Path, *, only: str | None = None, progress: Progress = lambda _: None) -> WhatIfVerdict:
     """Replay the node whose settings the file has, with these settings. Raises ``ConfigError``."""
-    name, other, changes = nodes.replaced(run.nodes, settings)
+    name, other, changes = replaced(run, settings)
     if only not in (None, name):
         problem = f"cannot act together with --with {settings}, which holds settings of the {name}"
         raise ConfigError("option --node", "", problem, value=only)
@@ -134,7 +102,7 @@ def what_if(run: Run, settings: Path, *, only: str | None = None, progress: Prog
     feed(run.recordings(), [part], progress=progress)
     return WhatIfVerdict(
         recording=str(run.path),
-        scenario=run.nodes.title,
+        scenario=run.title,
         settings=str(settings),
         node=name,
         changes=changes,
@@ -146,7 +114,7 @@ def what_if(run: Run, settings: Path, *, only: str | None = None, progress: Prog
         deviations=comparison.deviations,
         shares=comparison.shares,
         wall_s=time.monotonic() - started_s,
-        provenance_differences=provenance_differences(run.nodes.made_by),
+        provenance_differences=provenance_differences(run.made_by),
     )
 
 

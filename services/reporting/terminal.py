@@ -18,7 +18,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ltv_mpc.errors import one_line
-from ltv_mpc.messages import ControllerStatus, LocalisationReport, SensorStatus
+from ltv_mpc.messages import ControllerStatus, SensorStatus
 from services.reporting.plots.collector import Collector
 from services.runtime.console import WIDTH, drawn, fold
 from services.supervisor.screen import LiveView, in_order
@@ -161,26 +161,14 @@ def _columns() -> tuple[ProgressColumn, ...]:
 
 
 def line(view: LiveView, collector: Collector) -> str:
-    """Format the state of the run in one line."""
+    """Format the state of the run in one line: what the screen says without bars, and the sum of what was lost."""
     end = "" if view.end_ns is None else f" of {_seconds(view.end_ns)}"
-    words = [f"t {_seconds(view.t_ns)} s{end}", view.phase]
-    if view.estimate is not None and view.estimate.depth_m is not None:
-        words.append(f"depth {round(view.estimate.depth_m, 1) + 0.0:.1f} m")
-    if collector.error_m is not None:
-        words.append(f"estimate from the reference {_metres(collector.error_m)}")
-    if collector.true_error_m is not None:
-        words.append(f"vehicle from the reference {_metres(collector.true_error_m)} {collector.since}".rstrip())
-    if view.localisation is not None:
-        words.append(f"filter {_filter(view.localisation)}")
+    words = [f"t {_seconds(view.t_ns)} s{end}", view.phase, *_motion(view, collector), *_localisation(view)]
     if view.applied is not None:
-        words.append("thrust " + " ".join(f"{x:z.0f}" for x in view.applied.thrust_N) + " N")
-    if view.timing is not None:
-        words.append(f"cycle {view.timing.compute_wall_ns / 1e6:.1f} ms")
-    words.append(f"late {view.applied.plans_late if view.applied else 0}")
-    words.append(f"dropped {sum(s.dropped for s in view.status.values())}")
-    words.append(f"rejected {sum(s.rejected for s in view.status.values())}")
-    waiting = [f"{name} waits for {s.waiting_for}" for name, s in view.status.items() if s.waiting_for]
-    return "  ".join([*words, *waiting])
+        words.append(f"thrust {' '.join(f'{x:z.0f}' for x in view.applied.thrust_N)} N  late {view.applied.plans_late}")
+    words += [f"{name} {sum(getattr(s, name) for s in view.status.values())}" for name in ("dropped", "rejected")]
+    words += [f"{name} waits for {s.waiting_for}" for name, s in view.status.items() if s.waiting_for]
+    return "  ".join(" ".join(part.split()) for part in words)
 
 
 def bar(thrust_N: float, min_N: float, max_N: float, width: int = BAR) -> str:
@@ -236,19 +224,15 @@ def _control(controller: ControllerStatus | None) -> str:
 
 
 def _localisation(view: LiveView) -> list[str]:
-    """Return the line of the localisation filter; a vehicle with a navigation of its own has none."""
-    if view.localisation is None and view.end_ns is None:
-        return []
-    return [f"filter  {_filter(view.localisation)}"]
+    """Return the line of the localisation filter: its status with the reason, and the sensors that are not ok.
 
-
-def _filter(report: LocalisationReport | None) -> str:
-    """Return the status of the localisation filter, its reason, and the sensors that are not ok."""
-    if report is None:
-        return "-"
-    wrong = [f"{one.sensor} {one.status}" for one in report.sensors if one.status is not SensorStatus.OK]
+    A vehicle with a navigation of its own has none.
+    """
+    if (report := view.localisation) is None:
+        return [] if view.end_ns is None else ["filter  -"]
     why = f" ({report.why})" if report.why else ""
-    return "   ".join([f"{report.status}{why}", *wrong])
+    wrong = [f"{one.sensor} {one.status}" for one in report.sensors if one.status is not SensorStatus.OK]
+    return ["   ".join([f"filter  {report.status}{why}", *wrong])]
 
 
 def _thrusts(view: LiveView, limits: Limits) -> list[str]:

@@ -140,11 +140,16 @@ def _prepare(path: Path, files: Mapping[str, str]) -> RunFolder:
             old.unlink(missing_ok=True)
     except OSError as error:
         raise _refusal(path, error) from None
+    write_files(path, files)
+    return RunFolder(path)
+
+
+def write_files(folder: Path, files: Mapping[str, str]) -> None:
+    """Write texts into files by their paths in a folder, with the folders that they need."""
     for relative, text in files.items():
-        target = path / relative
+        target = folder / relative
         target.parent.mkdir(parents=True, exist_ok=True)
         target.write_text(text, encoding="utf-8")
-    return RunFolder(path)
 
 
 def find(text: str) -> Path:

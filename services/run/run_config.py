@@ -70,12 +70,13 @@ def resolve(name: str, overrides: Sequence[Override] = ()) -> RunConfig:
     sensor_config = SensorConfig.load(scenario.sensors)
     controller = settled(scenario.controller, vehicle, source=f"scenario {name}", table=("controller",))
     solvers.make(vehicle, controller)  # raises ConfigError if the solver is not installed
-    reference = references.load(scenario.reference)
-    fence = fence_for(vehicle, reference, scenario.fence)
+    notes: list[str] = []
+    reference = references.load(scenario.reference, notes)
+    fence = fence_for(vehicle, reference, scenario.fence, notes)
     prior = load_prior(scenario.estimator)
     called = _called(name, scenario)
     files = _files(msgspec.structs.replace(scenario, controller=controller), called)
-    notes = [*_notes(scenario, controller, prior), *reference.notes(vehicle)]
+    notes += [*_notes(scenario, controller, prior), *reference.notes(vehicle)]
     if vehicle != measured:
         files["config/vehicle.toml"] = config.to_toml(vehicle)
         notes.append("[reference_point] of the vehicle is not used: the simulated estimates are those of its origin")

@@ -16,7 +16,6 @@ from ltv_mpc import config, references
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.geofence.fence import Fence
 from ltv_mpc.messages import NodeSettings
-from ltv_mpc.references.mission_files import READERS
 from services.run.provenance import provenance_table
 
 if TYPE_CHECKING:
@@ -48,7 +47,8 @@ def controller_files(
     """
     reference_text = _text(reference, what="reference", package="ltv_mpc.references.files")
     loaded_reference = references.load(reference)
-    if isinstance(loaded_reference, references.Timed) or Path(reference).suffix.lower() in READERS:
+    is_toml = not config.is_path(reference) or Path(reference).suffix.lower() == ".toml"
+    if isinstance(loaded_reference, references.Timed) or not is_toml:
         reference_text = config.to_toml(loaded_reference)  # with the rows of the file that it names
     files = {
         "config/vehicle.toml": _text(vehicle, what="vehicle", package="ltv_mpc.vehicle.files"),

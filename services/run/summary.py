@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
+import threading
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
+from typing import TypeAlias
 
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.resolution import settled
@@ -24,6 +28,9 @@ SERVICES = "services"
 LOCKSTEP = "lockstep"
 STOPPED = "stopped early; the messages recorded so far are kept"
 """Why a run ended that a signal has stopped."""
+
+LOOK_S, FOLLOW_S = 0.1, 0.5
+"""Intervals in which the end is waited for, and in which a file that grows is looked at: it is flushed as often."""
 
 PROCESSES = frozenset((ROUTER, RECORDER, "plant", "sensors", "estimator", "controller"))
 """Processes of a run: only their statuses and rejections count, not those of programs beside it."""
@@ -87,22 +94,57 @@ def _duration_ns(until_ns: int, end_ns: int) -> int:
     return end_ns if until_ns + PERIOD_NS > end_ns else max(0, until_ns)
 
 
-def summarise_recording(
-    run_config: RunConfig, path: Path, *, restarts: int | None = None, unrecorded: int = 0, why: str = ""
-) -> tuple[Summary, WaterPrior | None]:
+Found: TypeAlias = tuple[Summary, WaterPrior | None]
+"""Summary and estimated current of a run."""
+
+
+class GrowingSummary:
+    """Summary of a recording that is still written, made in a thread beside it: at the end little is left to read."""
+
+    def __init__(self, run_config: RunConfig, path: Path) -> None:
+        self._recording = Recording(path)
+        self._recording.records.grows = self._grows
+        self._found: Found | None = None
+        self._ended, self._last_look = threading.Event(), False
+        self._thread = threading.Thread(target=self._run, args=(run_config,), name="summary", daemon=True)
+        self._thread.start()
+
+    def result(self, progress: Callable[[float], None]) -> Found | None:
+        """Return what is found in the complete file; None if that is not whole, or has been another one."""
+        self._ended.set()
+        records = self._recording.records
+        while self._thread.is_alive():
+            progress(records.position / max(records.size, 1))
+            self._thread.join(LOOK_S)
+        return self._found if records.whole else None
+
+    def _run(self, run_config: RunConfig) -> None:
+        with contextlib.suppress(Exception):  # the file is read again, and there it is an error
+            self._found = _summarise(run_config, self._recording)
+
+    def _grows(self) -> bool:
+        """Wait for more. The last look is the one after the end."""
+        more, self._last_look = not self._last_look, self._ended.wait(FOLLOW_S)
+        return more
+
+
+def summarise_recording(run_config: RunConfig, path: Path) -> Found:
     """Return the summary and the estimated current of a run of processes, from its run.mcap, complete or truncated.
 
-    Only accepted messages count (``Acceptance``). ``restarts`` and ``unrecorded`` are counts of the supervisor, None:
-    restarts as the recording shows them. ``why`` as in ``summarise``.
+    Only accepted messages count (``Acceptance``); restarts and losses as the recording shows them.
     """
+    return _summarise(run_config, Recording(path))
+
+
+def _summarise(run_config: RunConfig, recording: Recording) -> Found:
     learned = EstimatedCurrent()
     metrics = metrics_of(run_config)
     acceptance = Acceptance(run_config.vehicle, speed=run_config.scenario.run.speed)
-    faults = 0
+    faults, why = 0, ""
     reported: Counter[str] = Counter()  # rejected messages on record, by process
     statuses: dict[str, dict[int, NodeStatus]] = {}  # last status by process and epoch
     kinds: set[type[Message]] = {*metrics.message_types, ControllerStatus, NodeStatus, RejectedFrame, RunEvent}
-    for stored in Recording(path).stored():
+    for stored in recording.stored():
         for message, header, t_ns in acceptance.take(stored, kinds):
             match message:
                 case RejectedFrame(node=node) if node in PROCESSES:
@@ -115,8 +157,7 @@ def summarise_recording(
                 case Estimate():
                     learned.update(message)
             metrics.observe(message, epoch=header.epoch, sequence=header.sequence, t_ns=t_ns)
-    if restarts is None:
-        restarts = max(faults, sum(len(epochs) - 1 for epochs in statuses.values()))
+    restarts = max(faults, sum(len(epochs) - 1 for epochs in statuses.values()))
     # A flood of rejections is not recorded as a whole, so the counts in the statuses matter too.
     counts = {node: sum(one.rejected for one in epochs.values()) for node, epochs in statuses.items()}
     rejected = Counter(counts) | reported  # the larger count of each process
@@ -124,7 +165,7 @@ def summarise_recording(
     losses = acceptance.losses
     messages = Messages(
         published=losses.published,
-        dropped=max(losses.missing, unrecorded),
+        dropped=losses.missing,
         # The recorder rejects again what a reader has rejected, as do we; both matter only for what nobody reads.
         rejected=max(rejected.total(), unreadable, acceptance.rejected),
         denied=denied,

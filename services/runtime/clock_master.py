@@ -155,13 +155,9 @@ class ClockMaster:
     @property
     def due_us(self) -> int:
         """Monotonic time (us) of the next start, speed change or repetition."""
-        match self.message.state:
-            case ClockState.WAITING if not self._missing:
-                return 0
-            case ClockState.RUNNING:
-                return min(self._repeat_us, self._rate.window_end_us)
-            case _:
-                return self._repeat_us
+        if self.message.state is ClockState.RUNNING:
+            return min(self._repeat_us, self._rate.window_end_us)
+        return self._repeat_us if self._missing or self.message.state is ClockState.PAUSED else 0
 
     @property
     def waiting_for(self) -> str:

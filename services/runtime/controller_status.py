@@ -71,6 +71,8 @@ class ControllerStatusReporter:
         changes: list[Event] = []
         for message in outputs:
             if isinstance(message, Plan):
+                if self._plan is None or message.health_why != self._plan.health_why:
+                    self.due_us = 0  # screens with the status alone show it at once, too
                 self._plan = message
                 self._cycles.append((now_us, took_us))
                 mission, t_ns = self._node.mission.state, message.cycle_t_ns

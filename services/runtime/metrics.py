@@ -1,6 +1,6 @@
-"""Controller metrics for Prometheus: GET /metrics on loopback, in its text format 0.0.4, and nothing else.
+"""Controller metrics for Prometheus: GET /metrics on loopback, in its text formats, and nothing else.
 
-prometheus_client writes the text. Its server is not used, because it accepts any Host header: a web page whose name
+prometheus_client answers. Its server is not used alone, because it accepts any Host header: a web page whose name
 resolves to this machine (DNS rebinding) sends that name as Host, and is rejected here.
 """
 
@@ -10,11 +10,10 @@ import threading
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from http import HTTPStatus
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from http.server import ThreadingHTTPServer
 
-from prometheus_client import CollectorRegistry, generate_latest
+from prometheus_client import CollectorRegistry, MetricsHandler
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
-from prometheus_client.exposition import CONTENT_TYPE_PLAIN_0_0_4
 from prometheus_client.registry import Collector
 
 from ltv_mpc.messages import Authority, ControllerStatus, Health, MissionAction
@@ -29,8 +28,8 @@ class Metrics(Collector):
 
     def __init__(self) -> None:
         self._status: ControllerStatus | None = None
-        self._registry = CollectorRegistry()
-        self._registry.register(self)
+        self.registry = CollectorRegistry()
+        self.registry.register(self)
 
     def show(self, status: ControllerStatus) -> None:
         """Keep the newest status."""
@@ -41,16 +40,13 @@ class Metrics(Collector):
         if self._status is not None:
             yield from (metric for metric in _metrics(self._status) if metric.samples)
 
-    def text(self) -> bytes:
-        """Return the metrics in Prometheus text format."""
-        return generate_latest(self._registry)
-
 
 @contextmanager
 def serving(metrics: Metrics, port: int) -> Iterator[None]:
     """Serve the metrics on loopback within the context. Raises ``OSError`` if the port is in use."""
 
-    class Handler(BaseHTTPRequestHandler):
+    class Handler(MetricsHandler):
+        registry = metrics.registry
         timeout = REQUEST_TIMEOUT_S
 
         def do_GET(self) -> None:
@@ -59,15 +55,7 @@ def serving(metrics: Metrics, port: int) -> Iterator[None]:
             elif self.path != "/metrics":
                 self.send_error(HTTPStatus.NOT_FOUND)
             else:
-                body = metrics.text()
-                self.send_response(HTTPStatus.OK)
-                self.send_header("Content-Type", CONTENT_TYPE_PLAIN_0_0_4)
-                self.send_header("Content-Length", str(len(body)))
-                self.end_headers()
-                self.wfile.write(body)
-
-        def log_message(self, format: str, *args: object) -> None:
-            del format, args  # no log line for each scrape
+                super().do_GET()
 
     with ThreadingHTTPServer((HOST, port), Handler) as server:
         server.daemon_threads = True

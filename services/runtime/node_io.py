@@ -12,7 +12,7 @@ from services.bus.time_shift import shifted
 from services.bus.topics import BY_TYPE, LATEST, STATES, source_of
 from services.bus.wire import decode
 from services.runtime.clock import monotonic_us
-from services.runtime.supervisor_link import SUPERVISOR_LINK
+from services.runtime.lifeline import LIFELINE
 
 MAX_RECORDED_STEPS = 1000
 """Largest number of steps in a record: a frame has a largest size."""
@@ -92,23 +92,23 @@ class NodeIO:
         state: Message | None = None
         if self._saved is not None:
             state = self._saved.restored(t_ns, now_us, own_clock=own_clock)
-        elif SUPERVISOR_LINK.state:
-            state = decode(STATES[self._node], SUPERVISOR_LINK.state)[0]
+        elif LIFELINE.state:
+            state = decode(STATES[self._node], LIFELINE.state)[0]
         if state is not None:
-            self.publish_to_self(state, t_ns, first=True)
+            self.publish_to_self(state, t_ns)
+            self._inbox.insert(0, self._inbox.pop())
 
-    def add_to_inbox(self, message: Message, entry: InboxEntry, *, first: bool = False) -> None:
+    def add_to_inbox(self, message: Message, entry: InboxEntry) -> None:
         """Put a message, its times being vehicle time, into the inbox of the next step.
 
-        Of a key with delivery LATEST only the newest message is kept. ``first`` puts it before all others. ``entry`` is
-        for the step's record.
+        Of a key with delivery LATEST only the newest message is kept. ``entry`` is for the step's record.
         """
         if BY_TYPE[type(message)].delivery is LATEST:
             self._inbox = [pair for pair in self._inbox if pair[1].key != entry.key]
         arrival = ReceivedMessage(message, entry.epoch, entry.sequence, entry.received_t_ns, source_of(entry.key))
-        self._inbox.insert(0 if first else len(self._inbox), (arrival, entry))
+        self._inbox.append((arrival, entry))
 
-    def publish_to_self(self, message: Message, now_ns: int, *, first: bool = False) -> None:
+    def publish_to_self(self, message: Message, now_ns: int) -> None:
         """Publish a message and put it directly into the node's own inbox, received at ``now_ns`` (vehicle time)."""
         sent = self.publish(message)
         entry = InboxEntry(
@@ -119,7 +119,7 @@ class NodeIO:
             received_t_ns=now_ns,
             shift_ns=-self.shift_ns,
         )
-        self.add_to_inbox(message, entry, first=first)
+        self.add_to_inbox(message, entry)
 
     def take_inbox(self, t_ns: int, cause: str) -> list[ReceivedMessage]:
         """Empty the inbox for a step, keep the step for the next record, and return the messages.

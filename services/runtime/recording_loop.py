@@ -22,8 +22,9 @@ from services.bus.rate_limit import RateLimit
 from services.bus.roles import HISTORY
 from services.bus.sequence_check import FAR_AHEAD
 from services.bus.session import Reply, open_session
+from services.bus.topics import key_of
 from services.bus.wire import Header, WireError, crc, from_map, header_of, unpack
-from services.recording.acceptance import LATE, Acceptance
+from services.recording.acceptance import LATE, NODES, Acceptance
 from services.recording.history import read_query
 from services.recording.publish_counts import PublishCounts
 from services.recording.segments import SegmentWriter
@@ -31,10 +32,10 @@ from services.runtime.clock import monotonic_us
 from services.runtime.clock_sync import STAMPED_INPUTS
 from services.runtime.console import counted
 from services.runtime.deadlines import DeadlineQueue
+from services.runtime.lifeline import LIFELINE
 from services.runtime.node_status import NodeStatusReporter, WaitingFor
 from services.runtime.publication_time import PublicationTime
 from services.runtime.stopping import Say, StopRequest
-from services.runtime.supervisor_link import SUPERVISOR_LINK
 
 NAME = "recorder"
 BACKLOG_US = 1_300_000  # longest time for writing what had arrived when the stop was requested
@@ -98,7 +99,7 @@ class RecordingLoop:
             session.subscribe("**", None, self.mailbox)
             session.serve(HISTORY, self._answer)
             deadlines = DeadlineQueue()
-            deadlines.add(lambda: SUPERVISOR_LINK.due_us, SUPERVISOR_LINK.beat)
+            deadlines.add(lambda: LIFELINE.due_us, LIFELINE.beat)
             deadlines.add(lambda: self._status.due_us, self._status.publish)
             while not stop():
                 now_us = monotonic_us()
@@ -107,7 +108,7 @@ class RecordingLoop:
                 self._writer.flush_if_due()
                 self._settle()
             self._finish()
-            SUPERVISOR_LINK.last_beat()
+            LIFELINE.stopping()
 
     def _answer(self, query: bytes, _: bytes, reply: Reply) -> None:
         """Reply with a part of the history; a query that names no part gets none."""
@@ -179,7 +180,7 @@ class RecordingLoop:
 
     def _take(self, timeout_s: float) -> Frame | None:
         """Record the next message and return it; None if none arrives in time. Show that the process works."""
-        SUPERVISOR_LINK.beat(monotonic_us())
+        LIFELINE.beat(monotonic_us())
         frame = self.mailbox.take(timeout_s)
         if frame is not None:
             try:
@@ -237,5 +238,6 @@ class RecordingLoop:
         if refused and refused is not LATE and not refused.startswith(FAR_AHEAD):
             self._publish_counts.discount(header.epoch)
         self._status.on_delivery(header.sent_monotonic_us, frame.received_monotonic_us, monotonic_us())
-        if isinstance(message, NodeStatus) and message.finished and not refused:
+        named = message is not None and message.node in NODES and frame.key == key_of(NodeStatus, message.node)
+        if isinstance(message, NodeStatus) and message.finished and named and not refused:
             self._publish_counts.set_published(header.epoch, message.node, message.published)

@@ -49,14 +49,13 @@ from services.runtime.clock import monotonic_us
 from services.runtime.console import Console
 from services.runtime.deadlines import DeadlineQueue
 from services.runtime.input_receiver import InputReceiver
+from services.runtime.lifeline import LIFELINE
 from services.runtime.node_io import NodeIO, SavedState
 from services.runtime.node_status import CLOCK_MESSAGE, CLOCK_OR_ESTIMATE, NodeStatusReporter, WaitingFor
 from services.runtime.process_time import ClockOptions, ProcessTime
 from services.runtime.serve import run_until_stopped
-from services.runtime.service_manager import SERVICE_MANAGER
 from services.runtime.stage_timer import StageTimer
 from services.runtime.stopping import Say, StopRequest
-from services.runtime.supervisor_link import SUPERVISOR_LINK
 
 if TYPE_CHECKING:  # only a controller needs it
     from services.runtime.controller_status import ControllerStatusReporter
@@ -157,7 +156,7 @@ class Runner:
         gc.freeze()  # objects that live until the end: no later collection visits them
         with open_session(bus, stop=self.stop, say=say) as session:
             self._connect(session, saved, say)
-            SERVICE_MANAGER.ready()
+            LIFELINE.ready()
             try:
                 self._run()
             finally:
@@ -201,8 +200,7 @@ class Runner:
         """Step until a stop is requested or the schedule ends; then take the inputs that are still on their way."""
         while not self.finished and self._wait(lambda: self._step_due_us):
             self._scheduled_step()
-        SUPERVISOR_LINK.last_beat()
-        SERVICE_MANAGER.stopping()
+        LIFELINE.stopping()
         if self._time.master is not None:
             self._time.master.stop(monotonic_us())
         self._drain()
@@ -212,8 +210,7 @@ class Runner:
     def _add_deadlines(self, validator: MessageValidator) -> None:
         """Add the periodic duties of the process to the deadline queue."""
         master, report = self._time.master, self._report
-        self._deadlines.add(lambda: SUPERVISOR_LINK.due_us, SUPERVISOR_LINK.beat)
-        self._deadlines.add(lambda: SERVICE_MANAGER.due_us, SERVICE_MANAGER.beat)
+        self._deadlines.add(lambda: LIFELINE.due_us, LIFELINE.beat)
         if master is not None:
             self._deadlines.add(lambda: master.due_us, master.run_due)
         # Settings come before the first status and the first step.

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import time
 
-from services.runtime.supervisor_link import SUPERVISOR_LINK, SupervisorLink
+from services.runtime.lifeline import LIFELINE, Lifeline
 
 
 class StageTimer:
     """``Stopwatch`` of a node: called with a stage's name when the stage ends. ``stage_us`` holds the newest cycle."""
 
-    def __init__(self, link: SupervisorLink = SUPERVISOR_LINK) -> None:
+    def __init__(self, lifeline: Lifeline = LIFELINE) -> None:
         self.stage_us: dict[str, float] = {}
-        self._link = link
+        self._lifeline = lifeline
         self._last_ns = 0
 
     def start(self) -> None:
@@ -29,4 +29,4 @@ class StageTimer:
         now_ns = time.monotonic_ns()
         self.stage_us[stage] = self.stage_us.get(stage, 0.0) + (now_ns - self._last_ns) / 1000
         self._last_ns = now_ns
-        self._link.beat(now_ns // 1000)  # a step that makes progress does not hang
+        self._lifeline.beat(now_ns // 1000)  # a step that makes progress does not hang

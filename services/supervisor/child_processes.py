@@ -77,10 +77,10 @@ class ChildProcesses:
     def wait(self, timeout_s: float, stop: Callable[[], bool]) -> None:
         """Read heartbeats for ``timeout_s``. Return earlier if a child has ended or a stop is requested."""
         until = time.monotonic() + timeout_s
+        running = [child for child in self.by_name.values() if child.exit_code() is None]
         while (left_s := until - time.monotonic()) > 0 and not stop():
-            children = [child for child in self.by_name.values() if not child.pipe_closed]
-            by_fd = {child.heartbeat_fd: child for child in children if child.heartbeat_fd >= 0}
-            for fd in select.select(list(by_fd), [], [], left_s)[0]:
-                by_fd[fd].read_heartbeats()
-            if any(child.pipe_closed for child in by_fd.values()):
+            select.select([fd for child in running for fd in child.descriptors], [], [], left_s)
+            for child in running:
+                child.read_heartbeats()
+            if any(child.exit_code() is not None for child in running):
                 return

@@ -1,11 +1,10 @@
 """Entry point of every process of a run.
 
-    python -P -m services.supervisor.entry_point PARENT MODULE CONFIG [HEARTBEAT]
+    python -P -m services.supervisor.entry_point PARENT MODULE CONFIG [LIFELINE]
 
 MODULE has a struct ``Config`` and a function ``main(config) -> exit code``. CONFIG is a file that holds the config as
-JSON; the process is named after it. The process ends with its PARENT (a pid). HEARTBEAT is the descriptor of the
-heartbeat pipe, given by a supervisor, which also writes the state to continue from to the standard input. A forked
-process calls ``run`` with the same arguments.
+JSON; the process is named after it. The process ends with its PARENT (a pid). LIFELINE is the descriptor of
+the socket to a supervisor (``services/runtime/lifeline.py``). A forked process calls ``run`` with the same arguments.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ def read_config(path: Path, kind: type[Any]) -> Any:
     return msgspec.json.decode(path.read_bytes(), type=kind, dec_hook=lambda wanted, text: wanted(text))
 
 
-def run(parent: str, module: str, config: str, heartbeat: str = "") -> int:
+def run(parent: str, module: str, config: str, lifeline: str = "") -> int:
     """Run the process and return its exit code: that of ``main``, or 2 if a setting is rejected.
 
     The recorder is not killed at its parent's death: it finishes its file.
@@ -48,10 +47,10 @@ def run(parent: str, module: str, config: str, heartbeat: str = "") -> int:
 
     from ltv_mpc.errors import ConfigError
     from services.runtime.console import escape_output
-    from services.runtime.supervisor_link import SUPERVISOR_LINK
+    from services.runtime.lifeline import LIFELINE
 
-    if heartbeat:
-        SUPERVISOR_LINK.connect(int(heartbeat))
+    if lifeline:
+        LIFELINE.connect_to_supervisor(int(lifeline))
     escape_output()
     node = importlib.import_module(module)
     try:

@@ -1,6 +1,6 @@
 """Failure handling: finds dead and hung processes, restarts them, and watches until each works again.
 
-dead      its heartbeat pipe is closed and it has an exit code            (``managed_process.py``)
+dead      it has an exit code                                             (``managed_process.py``)
 hung      no heartbeat for the hang timeout: it is killed                 (``hang_detector.py``)
 restart   with the newest state it had published                          (``restore_state``)
 back      its first message of work under a new epoch                     (``BusMonitor.last_activity``)

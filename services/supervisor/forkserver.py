@@ -4,12 +4,14 @@ This file holds the supervisor's handle and the server's program.
 
 It makes starts and restarts quicker, because a forked process need not import and load compiled code: a failed
 estimator or controller must be back within 3 s (docs/restarts.md). Measured times are in docs/notes/process-start.md.
-The server is the same after a fork, so the second restart is as quick as the first. A child is spawned instead, which
-takes longer, while no server has loaded, as the router, which is the first of all, or if the server does not reply.
+The server is the same after a fork, so the second restart is as quick as the first. It also forks a spare server, which
+takes its place if it dies or does not reply: a fork shares the memory, and loads nothing. A child is spawned, which
+takes longer, while no server has loaded, as the router, which is the first of all, or if the spare fails too.
 
     reply     0: the server has loaded
-    request   module, config and log (JSON), with the child's standard input and heartbeat pipe (descriptors)
-    reply     the child's pid
+    request   module, config and log (JSON), with the child's standard input, which holds the state to continue from,
+              and its lifeline (descriptors); or null, with the socket of the requests to the spare
+    reply     the pid of the child, or of the spare
 
 The server has one thread and opens no Zenoh session, so no lock is held during a fork. It forks twice, and the process
 in between ends at once. The supervisor, as the nearest subreaper, then adopts the child: it can wait for it, and the
@@ -21,21 +23,22 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
-import fcntl
 import gc
 import os
 import select
+import signal
 import socket
 import struct
-import subprocess
 import sys
 import time
 import traceback
+from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple, NoReturn
+from typing import Any, NoReturn
 
 import msgspec
 
+from services.runtime.lifeline import GO
 from services.supervisor import entry_point
 from services.supervisor.parent_death import die_with_parent
 
@@ -46,29 +49,56 @@ LOADED = 0
 PYTHON = (sys.executable, "-P")
 PROGRAM = ("-m", "services.supervisor.forkserver")
 ENTRY_POINT = ("-m", "services.supervisor.entry_point")
-NAME = "ltv-forkserver"
+NAME, SPARE = "ltv-forkserver", "ltv-forkspare"
 MAX_REQUEST_BYTES = 65_536
 DESCRIPTORS = 2
-REPLY_TIMEOUT_S = 1.0
+REPLY_TIMEOUT_S = 0.5
 """A fork takes about 10 ms, about 100 ms on a busy machine. A server that does not reply in time is killed."""
 
 ADOPTION_TIMEOUT_S = 2.0  # a child waits at most this long for its new parent, which may have died
-PIPE_BYTES = 1 << 20  # a state fits into the pipe, so that a stopped child does not block the supervisor
 
 
 # --- the supervisor's end --------------------------------------------------------------------------------------------
 
 
-class Child(NamedTuple):
-    """Child process of the supervisor, and the supervisor's ends of the two pipes to it."""
+class Server:
+    """Fork server, by its pid and the socket to it."""
 
-    pid: int
-    stdin: int
-    heartbeat: int
+    def __init__(self, pid: int, requests: socket.socket) -> None:
+        self.pid = pid
+        self._requests = requests
+        self._code: int | None = None
+
+    def exit_code(self) -> int | None:
+        """Return its exit code; None while it runs."""
+        if self._code is None:
+            pid, status = os.waitpid(self.pid, os.WNOHANG)
+            self._code = os.waitstatus_to_exitcode(status) if pid else None
+        return self._code
+
+    def reply(self, timeout_s: float) -> int | None:
+        """Return its next reply; None if there is none in time or it has died."""
+        with contextlib.suppress(ConnectionError):
+            if select.select([self._requests], [], [], timeout_s)[0] and (data := self._requests.recv(PID.size)):
+                return int(PID.unpack(data)[0])
+        return None
+
+    def fork(self, request: tuple[str, str, str] | None, descriptors: Sequence[int]) -> int | None:
+        """Return the pid of what it forks; None if it does not reply in time."""
+        with contextlib.suppress(ConnectionError):  # it has died
+            socket.send_fds(self._requests, [msgspec.json.encode(request)], descriptors)
+        return self.reply(REPLY_TIMEOUT_S)
+
+    def end(self) -> None:
+        """Kill it; its children live on."""
+        self._requests.close()
+        if self.exit_code() is None:
+            os.kill(self.pid, signal.SIGKILL)
+            os.waitpid(self.pid, 0)
 
 
 class ForkServer:
-    """Handle of the fork server, and of another one in its place if it dies.
+    """Handle of the fork server and of its spare, and of another one in their place if both die.
 
     Construct it in the main thread: the server and its children end with that thread (parent_death.py). ``group`` is
     the process group of all of them.
@@ -78,99 +108,91 @@ class ForkServer:
         self.log = log
         self._scenario = scenario
         self._group = group
-        self._process: subprocess.Popen[bytes] | None = None
-        self._requests: socket.socket
+        self._servers: list[Server] = []  # the one in use and its spare
         self._loaded = False
         _set_subreaper(True)
 
     def load(self) -> None:
-        """Start a server, unless one runs; it loads what the processes of the scenario use."""
-        if self._process is not None and self.exit_code() is None:
+        """Start a server, unless one runs; it loads what the processes of the scenario use. Then start its spare."""
+        for server in [one for one in self._servers if one.exit_code() is not None]:
+            self._end(server)
+        if self._servers and (len(self._servers) > 1 or not self.is_loaded()):
             return
-        self._end()
-        self._requests, server_socket = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        arguments = map(str, (os.getpid(), server_socket.fileno(), self._scenario, self._group))
-        with server_socket, self.log.open("ab") as output:
-            self._process = subprocess.Popen(
-                [*PYTHON, *PROGRAM, *arguments],
-                stdin=subprocess.DEVNULL,
-                stdout=output,
-                stderr=subprocess.STDOUT,
-                process_group=0,
-                pass_fds=(server_socket.fileno(),),
-            )
+        requests, server_socket = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        with server_socket:
+            fd = server_socket.fileno()
+            if self._servers:
+                pid = self._servers[0].fork(None, (fd,))
+            else:
+                words = (*PROGRAM, str(os.getpid()), str(fd), str(self._scenario), str(self._group))
+                no_input = os.POSIX_SPAWN_OPEN, 0, os.devnull, os.O_RDONLY, 0
+                pid = _spawned(words, self.log, os.O_APPEND, 0, no_input, (os.POSIX_SPAWN_DUP2, fd, fd))
+        if pid is None:
+            requests.close()
+            self._end(self._servers[0])
+        else:
+            self._servers.append(Server(pid, requests))
 
     @property
     def pid(self) -> int:
         """Process id of the fork server; 0 if none was started."""
-        return 0 if self._process is None else self._process.pid
+        return self._servers[0].pid if self._servers else 0
 
     def exit_code(self) -> int | None:
         """Return the exit code of the fork server; None while it runs, or if none was started."""
-        return None if self._process is None else self._process.poll()
+        return self._servers[0].exit_code() if self._servers else None
 
     def is_loaded(self) -> bool:
         """Return True if the server has loaded."""
-        self._loaded = self._loaded or (self.pid != 0 and self._reply(0.0) == LOADED)
+        self._loaded = self._loaded or (self.pid != 0 and self._servers[0].reply(0.0) == LOADED)
         return self._loaded
 
-    def start(self, module: str, config: Path, log: Path) -> Child:
-        """Start a child: forked by the server, or spawned if the server has not loaded, or does not reply in time."""
-        stdin, into_stdin = os.pipe()
-        heartbeats, heartbeat = os.pipe()
-        with contextlib.suppress(OSError):  # more than this user is allowed
-            fcntl.fcntl(into_stdin, fcntl.F_SETPIPE_SZ, PIPE_BYTES)
+    def start(self, module: str, config: Path, log: Path, state: bytes = b"") -> tuple[int, int]:
+        """Start a child: forked by the server, or by its spare, or spawned if none has loaded, or replies in time.
+
+        Return its pid and the supervisor's end of its lifeline.
+        """
+        stdin = os.memfd_create("state")
+        os.write(stdin, state)
+        heartbeats, lifeline = (end.detach() for end in socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET))
         os.set_blocking(heartbeats, False)
         try:
-            begin = self._fork if self.is_loaded() else self._spawn
-            pid = begin(module, str(config), str(log), stdin, heartbeat)
+            if self.is_loaded():
+                pid = self._servers[0].fork((module, str(config), str(log)), (stdin, lifeline))
+            else:
+                # The second action makes the descriptor inheritable.
+                actions = (os.POSIX_SPAWN_DUP2, stdin, 0), (os.POSIX_SPAWN_DUP2, lifeline, lifeline)
+                words = (*ENTRY_POINT, str(os.getpid()), module, str(config), str(lifeline))
+                pid = _spawned(words, log, os.O_TRUNC, self._group, *actions)
         finally:
             os.close(stdin)
-            os.close(heartbeat)
+            os.close(lifeline)
         if pid is not None:
-            return Child(pid, into_stdin, heartbeats)
-        os.close(into_stdin)  # a child that the server has forked too late ends at the end of its input
-        os.close(heartbeats)
-        return self.start(module, config, log)  # without that server
+            with contextlib.suppress(BrokenPipeError):  # the child is already dead, which is noticed elsewhere
+                os.write(heartbeats, GO)
+            return pid, heartbeats
+        os.close(heartbeats)  # a child that the server has forked too late ends at the end of its lifeline
+        self._end(self._servers[0])
+        return self.start(module, config, log, state)  # without that server
 
     def close(self) -> None:
-        """Kill the server; its children live on."""
-        self._end()
+        """Kill the servers; their children live on."""
+        for server in tuple(self._servers):
+            self._end(server)
         _set_subreaper(False)
 
-    def _fork(self, module: str, config: str, log: str, stdin: int, heartbeat: int) -> int | None:
-        """Return the pid of a forked child; None if the server does not reply in time: it is killed then."""
-        with contextlib.suppress(ConnectionError):  # the server has died
-            socket.send_fds(self._requests, [msgspec.json.encode((module, config, log))], (stdin, heartbeat))
-        pid = self._reply(REPLY_TIMEOUT_S)
-        if pid is None:
-            self._end()
-        return pid
+    def _end(self, server: Server) -> None:
+        """Kill a server. Its spare has loaded."""
+        self._servers.remove(server)
+        server.end()
+        self._loaded = self._loaded and bool(self._servers)
 
-    def _spawn(self, module: str, config: str, log: str, stdin: int, heartbeat: int) -> int:
-        """Return the pid of a spawned child."""
-        arguments = [*PYTHON, *ENTRY_POINT, str(os.getpid()), module, config, str(heartbeat)]
-        actions = [
-            (os.POSIX_SPAWN_DUP2, stdin, 0),
-            (os.POSIX_SPAWN_OPEN, 1, log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666),
-            (os.POSIX_SPAWN_DUP2, 1, 2),
-            (os.POSIX_SPAWN_DUP2, heartbeat, heartbeat),  # which makes it inheritable
-        ]
-        return os.posix_spawn(sys.executable, arguments, os.environ, file_actions=actions, setpgroup=self._group)
 
-    def _reply(self, timeout_s: float) -> int | None:
-        """Return the next reply; None if there is none in time or the server has died."""
-        with contextlib.suppress(ConnectionError):
-            if select.select([self._requests], [], [], timeout_s)[0] and (data := self._requests.recv(PID.size)):
-                return int(PID.unpack(data)[0])
-        return None
-
-    def _end(self) -> None:
-        if self._process is not None:
-            self._requests.close()
-            self._process.kill()
-            self._process.wait()
-        self._process, self._loaded = None, False
+def _spawned(words: Sequence[str], log: Path, how: int, group: int, *actions: tuple[Any, ...]) -> int:
+    """Return the pid of a spawned Python program, whose output goes into ``log``; in a ``group`` of its own for 0."""
+    output = [(os.POSIX_SPAWN_OPEN, 1, str(log), os.O_WRONLY | os.O_CREAT | how, 0o666), (os.POSIX_SPAWN_DUP2, 1, 2)]
+    arguments = [*PYTHON, *words]
+    return os.posix_spawn(sys.executable, arguments, os.environ, file_actions=[*actions, *output], setpgroup=group)
 
 
 def _set_subreaper(on: bool) -> None:
@@ -189,14 +211,16 @@ def main() -> None:
         os.setpgid(0, int(group))
     entry_point.name_process(NAME)
     load(scenario)
-    with socket.socket(fileno=int(channel)) as requests:
-        requests.send(PID.pack(LOADED))
-        while True:
-            data, descriptors, _, _ = socket.recv_fds(requests, MAX_REQUEST_BYTES, DESCRIPTORS)
-            if not data:
-                return
-            request = msgspec.json.decode(data, type=tuple[str, str, str])
-            requests.send(PID.pack(_fork(int(parent), request, descriptors, requests)))
+    requests = socket.socket(fileno=int(channel))
+    requests.send(PID.pack(LOADED))
+    serve(int(parent), requests)
+
+
+def serve(parent: int, requests: socket.socket) -> None:
+    """Fork what is requested until the supervisor closes the socket."""
+    while data := (received := socket.recv_fds(requests, MAX_REQUEST_BYTES, DESCRIPTORS))[0]:
+        request = msgspec.json.decode(data, type=tuple[str, str, str] | None)
+        requests.send(PID.pack(_fork(parent, request, received[1], requests)))
 
 
 def load(scenario: str) -> None:
@@ -211,8 +235,8 @@ def load(scenario: str) -> None:
     gc.freeze()  # so that a child's garbage collection does not copy the shared pages
 
 
-def _fork(parent: int, request: tuple[str, str, str], descriptors: list[int], requests: socket.socket) -> int:
-    """Fork a child of ``parent``. Return its pid."""
+def _fork(parent: int, request: tuple[str, str, str] | None, descriptors: list[int], requests: socket.socket) -> int:
+    """Fork a child of ``parent``, without a request the spare of this server. Return its pid."""
     reading, writing = os.pipe()
     intermediate_pid = os.fork()
     if intermediate_pid == 0:
@@ -222,7 +246,7 @@ def _fork(parent: int, request: tuple[str, str, str], descriptors: list[int], re
                 for fd in (reading, writing):
                     os.close(fd)
                 requests.close()
-                _run_child(parent, *request, *descriptors)
+                _run_child(parent, request, descriptors)
             os.write(writing, PID.pack(pid))
         finally:
             os._exit(0)
@@ -234,19 +258,26 @@ def _fork(parent: int, request: tuple[str, str, str], descriptors: list[int], re
     return int(pid)
 
 
-def _run_child(parent: int, module: str, config: str, log: str, stdin: int, heartbeat: int) -> NoReturn:
-    """Run the requested child to its end."""
+def _run_child(parent: int, request: tuple[str, str, str] | None, descriptors: list[int]) -> NoReturn:
+    """Run the requested child, or the spare, to its end."""
     code = 1
     try:
-        output = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666)
-        for number, target_fd in ((stdin, 0), (output, 1), (output, 2)):
-            os.dup2(number, target_fd)
-        os.close(stdin)
-        os.close(output)
         until = time.monotonic() + ADOPTION_TIMEOUT_S
         while os.getppid() != parent and time.monotonic() < until:
             time.sleep(0.001)
-        code = entry_point.run(str(parent), module, config, str(heartbeat))
+        if request is None:
+            die_with_parent(parent)
+            entry_point.name_process(SPARE)
+            serve(parent, socket.socket(fileno=descriptors[0]))
+            code = 0
+        else:
+            (module, config, log), (stdin, lifeline) = request, descriptors
+            output = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666)
+            for number, target_fd in ((stdin, 0), (output, 1), (output, 2)):
+                os.dup2(number, target_fd)
+            os.close(stdin)
+            os.close(output)
+            code = entry_point.run(str(parent), module, config, str(lifeline))
     except SystemExit as stop:
         code = stop.code if isinstance(stop.code, int) else int(stop.code is not None)
     except BaseException:

@@ -40,8 +40,8 @@ class HangDetector:
         self._ended = False
 
     def beat(self, at_s: float) -> None:
-        """Note a heartbeat that was sent at ``at_s``."""
-        self.last_s = at_s if self.last_s is None else max(self.last_s, at_s)
+        """Note a heartbeat that has arrived at ``at_s``."""
+        self.last_s = at_s
 
     def end(self) -> None:
         """Note that the loop has ended in order: no more heartbeats are expected."""

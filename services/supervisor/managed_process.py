@@ -1,7 +1,7 @@
-"""Managed child process of the supervisor: log file, heartbeat pipe, exit code.
+"""Managed child process of the supervisor: log file, lifeline, exit code.
 
-A dead process is noticed within milliseconds: the kernel closes its end of the heartbeat pipe, and ``select`` in
-``child_processes.py`` returns. A process that hangs keeps the pipe open and is found by its silence
+A dead process is noticed within milliseconds: its pidfd becomes readable, and ``select`` in ``child_processes.py``
+returns. A process that hangs is found by its silence
 (``hang_detector.py``).
 """
 
@@ -11,17 +11,17 @@ import contextlib
 import os
 import select
 import signal
+import time
 from pathlib import Path
 
-from services.runtime.supervisor_link import HEARTBEAT_FORMAT, LAST_HEARTBEAT, STATE_LENGTH
+from services.runtime.lifeline import STOPPING, WATCHDOG
 from services.supervisor.forkserver import ForkServer
 from services.supervisor.hang_detector import HANG_TIMEOUT_S, HangDetector, ProcessorLack
 from services.supervisor.process_table import ProcessRow
 
 LAST_LINES = 12
 LOG_TAIL_BYTES = 16_384
-HEARTBEAT_BYTES = 4096  # read at once
-EXIT_TIMEOUT_S = 0.2  # from the end of the heartbeat pipe to the exit of the process
+NOTIFICATION_BYTES = 4096
 SIMULATION_HANG_TIMEOUT_S = 10.0  # plant and sensors are not restarted: a busy machine must not end the run too early
 KILL_TIMEOUT_S = 5.0  # longest wait for the exit after SIGKILL, which a process that waits for a dead disk survives
 
@@ -36,9 +36,8 @@ class ManagedProcess:
         self.row = row
         self.hang_detector: HangDetector
         self.pid = 0
-        self.heartbeat_fd = self._stdin = self._pidfd = -1
-        self.pipe_closed = False
-        """True once the child has closed its heartbeat pipe: it has ended, or is about to."""
+        self.descriptors: tuple[int, ...] = ()
+        """Lifeline and pidfd of the child: one of them is readable when it has sent something or has ended."""
         self._forks = forks
         self._config = config
         self._log: Path
@@ -50,25 +49,20 @@ class ManagedProcess:
         self.close()
         self._starts += 1
         self._log = self._config.with_suffix(".log" if self._starts == 1 else f".{self._starts}.log")
-        self.pid, self._stdin, self.heartbeat_fd = self._forks.start(self.row.module, self._config, self._log)
-        self._code, self.pipe_closed = None, False
-        self._pidfd = os.pidfd_open(self.pid)
+        self.pid, lifeline = self._forks.start(self.row.module, self._config, self._log, state)
+        self._code = None
+        self.descriptors = lifeline, os.pidfd_open(self.pid)
         timeout_s = HANG_TIMEOUT_S if self.row.restartable else SIMULATION_HANG_TIMEOUT_S
         self.hang_detector = HangDetector(ProcessorLack(self.pid), timeout_s)
-        with contextlib.suppress(BrokenPipeError):  # the child is already dead, which is noticed elsewhere
-            os.write(self._stdin, STATE_LENGTH.pack(len(state)) + state)
 
     def read_heartbeats(self) -> None:
-        """Read the heartbeats that have arrived. At the end of the pipe, wait for the exit, which follows at once."""
+        """Read the heartbeats that have arrived."""
         with contextlib.suppress(BlockingIOError):
-            while data := os.read(self.heartbeat_fd, HEARTBEAT_BYTES):
-                for (at_us,) in HEARTBEAT_FORMAT.iter_unpack(data):
-                    if at_us == LAST_HEARTBEAT:
-                        self.hang_detector.end()
-                    else:
-                        self.hang_detector.beat(at_us / 1e6)
-            self.pipe_closed = True
-            self._wait(EXIT_TIMEOUT_S)
+            while notification := os.read(self.descriptors[0], NOTIFICATION_BYTES):
+                if notification == WATCHDOG:
+                    self.hang_detector.beat(time.monotonic())
+                elif notification == STOPPING:
+                    self.hang_detector.end()
 
     def exit_code(self) -> int | None:
         """Return the exit code, or minus the number of the signal that ended the child; None while it runs."""
@@ -96,10 +90,9 @@ class ManagedProcess:
 
     def close(self) -> None:
         """Close all descriptors; the exit code stays."""
-        for fd in (self.heartbeat_fd, self._stdin, self._pidfd):
-            if fd >= 0:
-                os.close(fd)
-        self.heartbeat_fd = self._stdin = self._pidfd = -1
+        for fd in self.descriptors:
+            os.close(fd)
+        self.descriptors = ()
 
     def last_lines(self) -> tuple[str, ...]:
         """Return the last lines of the child's log."""
@@ -113,7 +106,7 @@ class ManagedProcess:
     def _wait(self, timeout_s: float) -> bool:
         """Wait for the exit. Return False if the child still runs."""
         if self.exit_code() is None:
-            select.select([self._pidfd], [], [], timeout_s)
+            select.select(self.descriptors[1:], [], [], timeout_s)
         return self.exit_code() is not None
 
 

@@ -3,6 +3,7 @@
     prepare  router and live page, then compiled code if it is missing                   ``jit_cache.py``
     start    the recorder, then the others; each must report ready                       ``process_table.py``
     watch    heartbeats, failures, restarts, screen, until the plant's last step         ``failure_handler.py``
+             the summary of what is recorded so far                                      ``run/summary.py``
     stop     nodes, then the recorder, which records all last messages, then the router  ``child_processes.py``
 
 Estimator, controller, recorder and router are restarted if they die or hang. Plant and sensors are the simulated world:
@@ -32,7 +33,7 @@ from services.recording import recover
 from services.recording.records import report_progress
 from services.run.folder import DELETED, RunFolder
 from services.run.run_config import RunConfig
-from services.run.summary import STOPPED, summarise_recording
+from services.run.summary import STOPPED, GrowingSummary, summarise_recording
 from services.runtime.stopping import DONE, FAILED, INTERRUPTED, StopRequest, stop_on_signals
 from services.supervisor import jit_cache, loopback, process_table
 from services.supervisor.bus_monitor import BusMonitor
@@ -114,6 +115,7 @@ class Supervisor:
         self.children: ChildProcesses
         self.failures: FailureHandler
         self._monitor: BusMonitor | None = None  # None before the connection to the bus
+        self._summary: GrowingSummary | None = None  # None before there is a recording
 
     def run(self, certs: Path | None = None) -> Outcome:
         """Run from the first process to the last and write the summary, also of a run that was interrupted."""
@@ -133,7 +135,7 @@ class Supervisor:
 
         try:
             with report_progress(progress):
-                return self._with_summary(outcome)
+                return self._with_summary(outcome, progress)
         except Stopped:
             outcome, code, why = replace(outcome, exit_code=0), self._stop_code, SKIPPED
         except (ConfigError, OSError) as error:
@@ -142,20 +144,24 @@ class Supervisor:
             self._screen.say(why)
         return outcome.failed(why, code)
 
-    def _with_summary(self, outcome: Outcome) -> Outcome:
+    def _with_summary(self, outcome: Outcome, progress: Callable[[float], None]) -> Outcome:
         """Join the segments of the recording and write the summary. Return the outcome with the summary."""
-        for text in recover.join(self._folder.recording):
+        joined = list(recover.join(self._folder.recording))
+        for text in joined:
             self._screen.say(text)
         why = outcome.why
         if why and self._page is not None:
             self._page.show(f"failed: {one_line(why)}")
         recorder = None if self._monitor is None else self._monitor.newest(NodeStatus, "recorder")
-        summary, water = summarise_recording(
-            self._run_config,
-            self._folder.recording,
+        found = None if joined or self._summary is None else self._summary.result(progress)
+        summary, water = found or summarise_recording(self._run_config, self._folder.recording)
+        dropped = max(summary.messages.dropped, 0 if recorder is None else recorder.dropped)
+        summary = msgspec.structs.replace(
+            summary,
             restarts=self.failures.restarts,
-            unrecorded=0 if recorder is None else recorder.dropped,
-            why=why,
+            messages=msgspec.structs.replace(summary.messages, dropped=dropped),
+            completed=summary.completed and not why,
+            why=why or summary.why,
         )
         if summary.cycles == 0:
             outcome = outcome.failed(f"{self._folder.recording}: no cycle of the controller is recorded")
@@ -280,6 +286,7 @@ class Supervisor:
         for row in others:
             if row is others[1]:
                 self._wait_until_ready(others[0].name)  # the recorder: it records the first message of all others
+                self._summary = GrowingSummary(self._run_config, self._folder.recording)
             if row is others[-1]:
                 self._wait_for_drawing()  # the clock starts when the last process is ready
             self._start_process(row, bus)

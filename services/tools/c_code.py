@@ -17,13 +17,12 @@ import numpy.typing as npt
 import osqp
 from scipy.sparse import csc_matrix
 
-from ltv_mpc.control.config import STAGE_NS, ResolvedConfig
+from ltv_mpc.control.config import ResolvedConfig
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.failed_qp import STATES, row_names
-from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.ocp.assembly import scales
 from ltv_mpc.control.problem_data import CHANGES, COMMANDS
-from ltv_mpc.control.solvers import Solver, make
+from ltv_mpc.control.solvers import Solver, make, riccati
 from ltv_mpc.control.solvers.osqp import SETTINGS, Arrays, prepare
 from ltv_mpc.control.solvers.recorder import RecordingSolver
 from ltv_mpc.control.solvers.sparse import EXCESS, SparseLayout
@@ -74,17 +73,17 @@ def export(folder: Path, cycle: RecordingSolver, vehicle: Vehicle, config: Resol
     """Write the code of a solved cycle into ``folder``, over existing files."""
     problem, z = cycle.problem, cycle.result.z
     layout = SparseLayout(problem)
-    N, n, m, numbers = len(problem.f), layout.variables, layout.rows, layout.allocate()
-    at = Arrays(numbers, *(np.zeros(size) for size in (n, m, m, len(numbers.A), m, m, m)))
-    duals = np.zeros(problem.low.shape)
-    prepare(problem, layout.masks, layout.places, config.knots, math.nan, Sweep.empty(problem), duals, at)
+    N, n, m, at = len(problem.f), layout.variables, layout.rows, Arrays.empty(layout)
+    work, duals, numbers = Sweep.empty(problem), np.zeros(problem.low.shape), at.numbers
+    riccati.solve(problem, work, config.knots, math.nan, duals)
+    prepare(problem, layout.places, work, duals, at)
     matrices = (layout.P, numbers.P), (layout.A, at.A)
     P, A = (csc_matrix((data, of.indices, of.indptr), of.shape) for of, data in matrices)
     generator = osqp.OSQP(algebra="builtin")
     generator.setup(P, numbers.q, A, at.l, at.u, **SETTINGS, eps_abs=0.1 * config.tolerance, max_iter=100_000)
     generator.codegen(str(folder), parameters="matrices", prefix="mpc_", extension_name=None, force_rewrite=True)
 
-    scale, column = scales(HorizonLimits.from_vehicle(vehicle, STAGE_NS * 1e-9)), layout.places.column
+    scale, column = scales(vehicle), layout.places.column
     names = (*STATES, ("change of port's command to the next", "N"), ("change of starboard's command to the next", "N"))
     rows = [(row.scale, f"{i}: {row.name} ({row.unit})") for i, row in enumerate(row_names(layout, scale))]
     placed = enumerate(np.argwhere(column >= 0))  # columns have the order of states and inputs

@@ -8,7 +8,6 @@ from __future__ import annotations
 import itertools
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,8 +21,8 @@ from ltv_mpc.control.solvers.recorder import QpRecorder
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import ImuSamples, Message, Plan, StepRecord
 from ltv_mpc.settings_schema import scalar_fields, suggestion
+from ltv_mpc.validation import bounds
 from services.bus import topics
-from services.bus.schema import fields
 from services.bus.wire import WireError
 from services.recording.reader import read_segments
 from services.recording.recover import segments
@@ -165,14 +164,14 @@ class Table(dict[str, Column]):
     def __init__(self, messages: Sequence[Message]) -> None:
         """Take messages of one type; of inertial ones each sample."""
         samples = (one.samples for one in messages if isinstance(one, ImuSamples))
-        self._messages: Sequence[Any] = list(itertools.chain.from_iterable(samples)) or messages
-        columns = dict(_columns(self._messages))
+        one_each: Sequence[Any] = list(itertools.chain.from_iterable(samples)) or messages
+        columns, units = dict[str, Column](), dict[str, str]()
+        for name, column, unit in _columns(one_each):
+            columns[name] = column
+            units |= {name: unit} if unit else {}
         super().__init__({"t_s": columns["t_ns"] * 1e-9, **columns} if "t_ns" in columns else columns)
-
-    @cached_property
-    def units(self) -> dict[str, str]:
+        self.units: Mapping[str, str] = {"t_s": "s", **units}
         """Units by name; names without one are left out."""
-        return {"t_s": "s", **dict(_units(self._messages))}
 
     def to_pandas(self) -> pandas.DataFrame:
         """Return a data frame; a field with several numbers has a column for each, ``name_0``, ``name_1``.
@@ -232,27 +231,17 @@ def _overrides(changes: Mapping[str, Any], table: str = "") -> Iterator[Override
         yield Override(source, [f"{key if key in known or not keys else keys[0]}={text}"])
 
 
-def _columns(messages: Sequence[Any], prefix: str = "") -> Iterator[tuple[str, Column]]:
-    """Yield name and array of each field of structs, None for a part that some of them lack."""
-    kind = type(next(message for message in messages if message is not None))
+def _columns(messages: Sequence[Any], prefix: str = "") -> Iterator[tuple[str, Column, str]]:
+    """Yield name, array and unit of each field of structs, None for a part that some of them lack."""
+    kind: type[msgspec.Struct] = type(next(message for message in messages if message is not None))
+    limits = bounds(kind)
     for name in kind.__struct_fields__:
         values = [None if message is None else getattr(message, name) for message in messages]
         known = next((value for value in values if value is not None), None)
         if isinstance(known, msgspec.Struct):
             yield from _columns(values, f"{prefix}{name}.")
         else:
-            yield f"{prefix}{name}", _array(values, known)
-
-
-def _units(messages: Sequence[Any], prefix: str = "") -> Iterator[tuple[str, str]]:
-    """Yield name and unit of each field that has one."""
-    first = next(message for message in messages if message is not None)
-    for name, field in fields(type(first)).items():
-        parts = [part for message in messages if isinstance(part := getattr(message, name, None), msgspec.Struct)]
-        if parts:
-            yield from _units(parts[:1], f"{prefix}{name}.")
-        elif field.bounds is not None and field.bounds.unit:
-            yield f"{prefix}{name}", field.bounds.unit
+            yield f"{prefix}{name}", _array(values, known), limits[name].unit if name in limits else ""
 
 
 def _array(values: Sequence[Any], known: Any) -> Column:

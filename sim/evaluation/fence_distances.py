@@ -5,11 +5,12 @@ The fence is that of the run until the controller publishes another one.
 
 from __future__ import annotations
 
+from array import array
+
 import numpy as np
 
 from ltv_mpc.geofence.fence import Fence
-from ltv_mpc.geofence.zones import clearances, pack_zones
-from ltv_mpc.messages import FenceInForce, Plan, Truth, ZoneInForce
+from ltv_mpc.messages import Array, FenceInForce, Plan, Truth, ZoneInForce
 from ltv_mpc.vehicle.parameters import Vehicle
 from sim.evaluation.summary import ZoneFigures
 
@@ -20,7 +21,7 @@ class FenceDistances:
     def __init__(self, vehicle: Vehicle, fence: Fence | None) -> None:
         self._hull_m = 0.0 if vehicle.hull is None else vehicle.hull.radius_m
         self._zones: tuple[ZoneInForce, ...] = () if fence is None else tuple(fence.zones())
-        self._truth: list[tuple[int, float, float]] = []  # since these zones are in force
+        self._truth = array("d")  # t, north, east; since these zones are in force
         self._figures: dict[str, ZoneFigures] = {}  # of the time before
         self.exceeded = 0
         """Number of plans that lack more than 1 cm of a required clearance."""
@@ -29,13 +30,13 @@ class FenceDistances:
         """Add the fence that the controller publishes."""
         if [_key(zone) for zone in fence.zones] != [_key(zone) for zone in self._zones]:
             self._figures = {figures.zone: figures for figures in self.figures()}
-            self._truth = self._truth[-1:] if self._zones else []  # none is kept while there is no fence
+            self._truth = self._truth[-3:] if self._zones else array("d")  # none is kept while there is no fence
             self._zones = fence.zones
 
     def add_truth(self, truth: Truth) -> None:
         """Add the true position, from t = 0 on."""
         if self._zones and truth.t_ns >= 0:
-            self._truth.append((truth.t_ns, truth.position_m[0], truth.position_m[1]))
+            self._truth.extend((truth.t_ns, *truth.position_m[:2]))
 
     def add_plan(self, plan: Plan) -> None:
         """Count a plan that lacks more than 1 cm of a required clearance."""
@@ -45,9 +46,8 @@ class FenceDistances:
         """Return the figures of each zone that was in force, the times of zones of one name added; none without any."""
         if not self._zones or not self._truth:
             return tuple(self._figures.values())
-        rows, margins = np.array(self._truth), [zone.margin_m for zone in self._zones]
-        packed = pack_zones(FenceInForce(t_ns=0, hull_radius_m=self._hull_m, zones=self._zones))
-        clearance = clearances(packed, np.ascontiguousarray(rows[:, 1:])) - self._hull_m  # (K, Z)
+        rows, margins = np.array(self._truth).reshape(-1, 3), [zone.margin_m for zone in self._zones]
+        clearance = np.column_stack([_clearance(zone, rows[:, 1:]) for zone in self._zones]) - self._hull_m  # (K, Z)
         length_s = np.append(np.diff(rows[:, 0]), 0.0)[:, None] * 1e-9
         in_margin = (length_s * (clearance < margins)).sum(axis=0)
         inside = (length_s * (clearance < 0.0)).sum(axis=0)
@@ -66,3 +66,21 @@ class FenceDistances:
 
 def _key(zone: ZoneInForce) -> tuple[object, ...]:
     return zone.label, zone.keep_in, zone.vertices_m.tobytes(), zone.radius_m, zone.margin_m
+
+
+def _clearance(zone: ZoneInForce, points: Array) -> Array:
+    """Return the clearance (K,) of points (K, 2) from a zone (m).
+
+    The controller's own geometry is compiled, which the process that needs this at the end of a run is not.
+    """
+    import shapely  # takes a tenth of a second, and only a fence needs it
+
+    if len(zone.vertices_m) == 1:
+        circle: Array = np.hypot(*(points - zone.vertices_m).T) - zone.radius_m
+        return circle
+    area = shapely.Polygon(zone.vertices_m)
+    shapely.prepare(area)
+    allowed = shapely.contains_xy(area, *points.T) == zone.keep_in
+    distance = shapely.distance(area.exterior, shapely.points(points))
+    clearance: Array = np.where(allowed, distance, -distance) - zone.radius_m
+    return clearance

@@ -12,12 +12,14 @@ sampled at the times t > 0 of the estimates. Drift since t = 0 does not contain 
 p(0). A line that begins at the estimate has this error itself, a place on a map has not.
 
 Between two reports of the actuators the command is taken as linear in time. It is, except at a knot between them.
+What a long run has many of is kept as plain numbers, rows one after the other: 20 MB for an hour.
 """
 
 from __future__ import annotations
 
+from array import array
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -44,7 +46,7 @@ from sim.evaluation.fence_distances import FenceDistances
 from sim.evaluation.further import Positions
 from sim.evaluation.summary import Quantiles, Spread, Thrust
 
-ZERO = np.zeros(1, dtype=np.int64)
+ZERO = np.zeros(1)
 """Start of the descent (ns), (1,)."""
 
 AT_BOX_N = 1e-6
@@ -68,8 +70,8 @@ class TrackErrors:
 
     def __init__(self, *, in_places: bool) -> None:
         self._in_places = in_places
-        self._truth: list[tuple[int, float, float]] = []
-        self._estimate: list[tuple[int, float, float]] = []
+        self._truth = array("d")  # t, north, east
+        self._estimate = array("d")
         self._reference: list[_Target] = []
         self.arrived_s: float | None = None
         """Vehicle time of the first plan after an arrival (s)."""
@@ -77,15 +79,15 @@ class TrackErrors:
     @property
     def until_ns(self) -> int:
         """Vehicle time of the last truth."""
-        return self._truth[-1][0] if self._truth else 0
+        return int(self._truth[-3]) if self._truth else 0
 
     def add_truth(self, truth: Truth) -> None:
         """Add the true position."""
-        self._truth.append((truth.t_ns, truth.position_m[0], truth.position_m[1]))
+        self._truth.extend((truth.t_ns, *truth.position_m[:2]))
 
     def add_estimate(self, estimate: Estimate, *_: int) -> None:
         """Add the estimated position."""
-        self._estimate.append((estimate.t_ns, estimate.north_m, estimate.east_m))
+        self._estimate.extend((estimate.t_ns, estimate.north_m, estimate.east_m))
 
     def add_plan(self, plan: Plan) -> None:
         """Add the reference point of a plan if it has one."""
@@ -98,12 +100,13 @@ class TrackErrors:
     @cached_property
     def positions(self) -> Positions | None:
         """Positions of the run, from t = 0 on; None without any."""
-        at = np.array([t for t, _, _ in self._estimate if t > 0], dtype=np.int64)
-        if not len(at) or not self._truth:
+        estimate, truth = _rows(self._estimate, 3), _rows(self._truth, 3)
+        at = estimate[estimate[:, 0] > 0.0, 0]
+        if not len(at) or not len(truth):
             return None
         shift = 0.0 if self._in_places else self._fix()
-        references = self._references(at, _track(self._estimate, ZERO))
-        return Positions(at / 1e9, _track(self._estimate, at), _track(self._truth, at) + shift, references)
+        references = self._references(at, _track(estimate, ZERO))
+        return Positions(at / 1e9, _track(estimate, at), _track(truth, at) + shift, references)
 
     def errors(self) -> dict[str, Spread]:
         """Return all errors by their names in ``Summary``."""
@@ -122,9 +125,9 @@ class TrackErrors:
 
     def _fix(self) -> Array:
         """Return estimate minus truth at t = 0, north and east (m), (1, 2)."""
-        return _track(self._estimate, ZERO) - _track(self._truth, ZERO)
+        return _track(_rows(self._estimate, 3), ZERO) - _track(_rows(self._truth, 3), ZERO)
 
-    def _references(self, at: np.ndarray[Any, Any], start: Array) -> Array:
+    def _references(self, at: Array, start: Array) -> Array:
         """Return the reference of the newest plan at each time, (K, 2); before the first plan, that of the first.
 
         On a path it moves linearly from the first knot of one plan to that of the next.
@@ -137,7 +140,7 @@ class TrackErrors:
         moves = np.array([target.moves for target in self._reference])[newest]
         if moves.any():
             path = [target for target in self._reference if target.moves]
-            positions[moves] = _track([(target.t_ns, *target.position_m) for target in path], at[moves])
+            positions[moves] = _track(np.array([(target.t_ns, *target.position_m) for target in path]), at[moves])
         return positions
 
 
@@ -149,14 +152,13 @@ class ThrustCommands:
         self._velocity_mps = 0.0, 0.0  # through the water, ahead and down, at the last truth
         self._truth: Truth | None = None  # the last one from t = 0 on
         self._delivered_slew: float | None = None  # N/s
-        self._delivered: list[tuple[float, ...]] = []  # thrust of port, starboard and vertical, velocity ahead and down
         self._box = np.array([[t.min_N, t.max_N] for t in vehicle.thrusters])  # (3, 2): thruster, bound
-        self._command: list[tuple[int, float, float, float, float]] = []  # t, port, starboard, vertical, slew
+        self._command = array("d")  # t, three commands, slew; the three thrusts, velocity ahead and down
 
     def add(self, applied: Applied) -> None:
         """Add the command in force."""
-        self._command.append((applied.t_ns, *applied.command_N, max(applied.command_slew_N_per_s[:2])))
-        self._delivered.append((*applied.thrust_N, *self._velocity_mps))
+        self._command.extend((applied.t_ns, *applied.command_N, max(applied.command_slew_N_per_s[:2])))
+        self._command.extend((*applied.thrust_N, *self._velocity_mps))
 
     def add_truth(self, truth: Truth) -> None:
         """Add the velocity through the water, which is the inflow of the propellers, and the delivered thrust."""
@@ -171,13 +173,13 @@ class ThrustCommands:
 
     def thrust(self) -> Thrust:
         """Return statistics of the commands in force from t = 0 on."""
-        rows = np.array([row for row in self._command if row[0] >= 0]).reshape(-1, 5)
+        table = _rows(self._command, 10)
+        rows, delivered = np.hsplit(table[table[:, 0] >= 0.0], 2)
         if len(rows) < 2:
             return Thrust()
         h, F = np.diff(rows[:, 0]), rows[:, 1:3]  # (K-1,), (K, 2)
         limited = self._at_limits(rows[:, 1:4])
         vertical = float(np.average(limited[:, 2], weights=h)) if self._vehicle.can_dive else None
-        delivered = np.array(self._delivered[-len(rows) :])
         power = propulsive_power_W(self._vehicle, delivered[:, :3], delivered[:, 3], delivered[:, 4])
         energy = None if power is None else (0.5 * (power[:-1] + power[1:]) * (h * 1e-9)[:, None]).sum(axis=0)
         relative = relative_power(self._vehicle, delivered[:, :2])
@@ -235,60 +237,50 @@ class _Published(NamedTuple):
     published_ns: int
 
 
-class _Received(NamedTuple):
-    """Plan that the plant received, with its time of arrival (vehicle ns) and the speed of the clock then."""
-
-    plan: _Published
-    received_ns: int
-    speed: float
-
-    @property
-    def effect_ns(self) -> int:
-        return max(self.plan.start_ns, self.received_ns)
-
-
 class PlanDelays:
     """Delays from an estimate to the effect of its plan."""
 
     def __init__(self) -> None:
         self._published: dict[tuple[int, int], _Published] = {}  # by epoch and sequence, until the plant receives it
-        self._received: list[_Received] = []
-        self._timing: list[tuple[CycleTiming, float]] = []  # with the speed of the clock
+        self._received = array("d")  # estimate to effect, publication to arrival, arrival to effect (ns); clock's speed
+        self._compute_s = array("d")  # vehicle and wall
+        self._laps_us: dict[str, array[float]] = {"age": array("d")}
 
     def add_plan(self, plan: Plan, epoch: int, sequence: int, t_ns: int) -> None:
         """Add a plan that was published at ``t_ns``."""
         self._published[epoch, sequence] = _Published(int(plan.t_ns[0]), plan.estimate_t_ns, t_ns)
 
     def add_applied(self, applied: Applied, speed: float) -> None:
-        """Add the arrival of a plan at the plant."""
+        """Add the arrival of a plan at the plant; ``speed`` is that of the clock."""
         plan = self._published.pop((applied.plan_epoch, applied.plan_sequence), None)
         if plan is not None:
-            self._received.append(_Received(plan, applied.plan_received_t_ns, speed))
+            received_ns = applied.plan_received_t_ns
+            effect_ns = max(plan.start_ns, received_ns)
+            intervals_ns = effect_ns - plan.estimate_t_ns, received_ns - plan.published_ns, effect_ns - received_ns
+            self._received.extend((*intervals_ns, speed))
 
     def add_timing(self, timing: CycleTiming, speed: float) -> None:
         """Add the times of one controller cycle."""
-        self._timing.append((timing, speed))
+        self._compute_s.extend((timing.compute_ns / 1e9, timing.compute_wall_ns / 1e9))
+        self._laps_us["age"].append(timing.estimate_age_ns / 1e3 / speed)
+        for stage, us in timing.stage_us.items():
+            self._laps_us.setdefault(stage, array("d")).append(us)
 
     def compute(self, *, wall: bool = False) -> Quantiles:
         """Return the delay from the start of a cycle to the publication of its plan (s)."""
-        return quantiles([(t.compute_wall_ns if wall else t.compute_ns) / 1e9 for t, _ in self._timing])
+        return quantiles(_rows(self._compute_s, 2)[:, int(wall)])
 
     def end_to_end(self, *, wall: bool = False) -> Quantiles:
         """Return the delay from an estimate's validity time to the effect of its plan (s)."""
-        return quantiles(
-            [(x.effect_ns - x.plan.estimate_t_ns) / 1e9 / (x.speed if wall else 1.0) for x in self._received]
-        )
+        delay_ns, _, _, speed = _rows(self._received, 4).T
+        return quantiles(delay_ns / 1e9 / (speed if wall else 1.0))
 
     def stages(self) -> dict[str, Quantiles]:
         """Return the wall time of each stage of a cycle (us), from the age of the estimate to the plan's effect."""
-        laps: dict[str, list[float]] = {"age": []}
-        for timing, speed in self._timing:
-            laps["age"].append(timing.estimate_age_ns / 1e3 / speed)
-            for stage, us in timing.stage_us.items():
-                laps.setdefault(stage, []).append(us)
-        laps["transport"] = [(x.received_ns - x.plan.published_ns) / 1e3 / x.speed for x in self._received]
-        laps["apply"] = [(x.effect_ns - x.received_ns) / 1e3 / x.speed for x in self._received]
-        return {stage: quantiles(us) for stage, us in laps.items() if us}
+        _, transport_ns, apply_ns, speed = _rows(self._received, 4).T
+        after = {"transport": transport_ns / 1e3 / speed, "apply": apply_ns / 1e3 / speed}
+        laps = {stage: np.array(us) for stage, us in self._laps_us.items()} | after
+        return {stage: quantiles(us) for stage, us in laps.items() if len(us)}
 
 
 class RunMetrics:
@@ -360,9 +352,9 @@ class RunMetrics:
         self.delays.add_timing(timing, self.clock.speed)
 
 
-def quantiles(values: list[float]) -> Quantiles:
+def quantiles(values: Sequence[float] | Array) -> Quantiles:
     """Return median, 99 % quantile and maximum; None for no values."""
-    if not values:
+    if not len(values):
         return Quantiles(median=None, p99=None, max=None)
     median, p99, top = np.quantile(values, (0.5, 0.99, 1.0))
     return Quantiles(median=float(median), p99=float(p99), max=float(top))
@@ -381,7 +373,11 @@ def _mean_abs(a: Array, b: Array) -> Array:
     return np.where(a * b < 0, crossing, 0.5 * total)
 
 
-def _track(rows: list[tuple[int, float, float]], at: np.ndarray[Any, Any]) -> Array:
+def _rows(values: array[float], columns: int) -> Array:
+    return np.array(values).reshape(-1, columns)
+
+
+def _track(rows: Array, at: Array) -> Array:
     """Return north and east at the times ``at``, (K, 2), linear between rows and constant beyond both ends."""
-    t, north, east = np.array(rows).T
+    t, north, east = rows.T
     return np.column_stack([np.interp(at, t, north), np.interp(at, t, east)])

@@ -28,7 +28,7 @@ import numpy as np
 from ltv_mpc import so3
 from ltv_mpc.frames import rotation, rotation_exp
 from ltv_mpc.jit import jit
-from ltv_mpc.localisation.sensors.adcp import Adcp
+from ltv_mpc.localisation.sensors.adcp import Adcp, beam_directions
 from ltv_mpc.messages import AdcpPing, Array, Triple
 from sim.random_streams import Stream, generator
 from sim.sensors.simulated import outliers
@@ -49,7 +49,7 @@ class Instrument:
         self.mounting: Array = self.misalignment @ rotation(*settings.mounting_rad)  # M
         self.beam_bias_mps: Array = settings.beam_bias_sd_mps * draws.standard_normal(4)
         self.near_bias_mps: Array = settings.near_bias_sd_mps * draws.standard_normal(4)
-        self.beams: Array = beams(settings.beam_angle_rad) @ self.mounting.T  # (4, 3), body
+        self.beams: Array = beam_directions(settings.beam_angle_rad) @ self.mounting.T  # (4, 3), body
 
 
 class Transducer(NamedTuple):
@@ -73,8 +73,7 @@ class Profiler:
         """
         settings = self._settings = instrument.settings
         self._water, self._bottom_m = water, math.inf if bottom_m is None else bottom_m
-        cells = math.floor((settings.range_m - settings.blanking_m) / settings.cell_m + 1e-9)
-        self.ranges_m: Array = settings.blanking_m + (np.arange(cells, dtype=np.float64) + 0.5) * settings.cell_m
+        self.ranges_m = settings.cell_ranges_m
         self._draws = generator(seed, Stream.ADCP_PINGS)
         self.mounting = instrument.mounting
         self.beam_bias_mps, self.near_bias_mps = instrument.beam_bias_mps, instrument.near_bias_mps
@@ -98,12 +97,6 @@ class Profiler:
         velocity[silent] = np.nan
         velocity[:, self.ranges_m > self._bottom_m - now.point_m(settings.lever_arm_m)[2]] = np.nan
         return [AdcpPing(t_ns=now.t_ns, range_m=self.ranges_m, beam_velocity_mps=velocity)]
-
-
-def beams(angle_rad: float) -> Array:
-    """Return unit vectors ahead, astern, to starboard, to port, each ``angle_rad`` off the vertical, (4, 3)."""
-    s, c = math.sin(angle_rad), math.cos(angle_rad)
-    return np.array([[s, 0.0, c], [-s, 0.0, c], [0.0, s, c], [0.0, -s, c]])
 
 
 @jit

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
+from ltv_mpc.currents import grid_depths
 from ltv_mpc.frames import roll_pitch_heading
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.messages import CurrentProfile, Estimate
@@ -17,14 +16,9 @@ class PerfectState:
     """State without error, and the true current at the estimator's grid points with a standard deviation of 0."""
 
     def __init__(self, settings: EstimatorConfig, water: WaterColumn, bottom_m: float | None) -> None:
-        """Set the grid: depths 0, cell, 2 cell, ... down to the first at or below the deepest.
-
-        ``bottom_m`` is the depth of the sea bed; None: out of reach.
-        """
+        """``bottom_m`` is the depth of the sea bed; None: out of reach."""
         self._water, self._bottom_m = water, bottom_m
-        cells = math.ceil(settings.deepest_m / settings.cell_m - 1e-9)
-        self._depth = settings.cell_m * np.arange(cells + 1, dtype=np.float64)
-        self._sd = np.zeros(cells + 1)
+        self._depth = grid_depths(settings.deepest_m, settings.cell_m)
 
     def sample(self, now: VehicleState) -> list[Estimate]:
         """Return the true state now."""
@@ -46,7 +40,7 @@ class PerfectState:
                     depth_m=self._depth,
                     north_mps=np.ascontiguousarray(current[:, 0]),
                     east_mps=np.ascontiguousarray(current[:, 1]),
-                    sd_mps=self._sd,
+                    sd_mps=np.zeros_like(self._depth),
                 ),
             )
         ]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ltv_mpc.currents import read_profile
+from ltv_mpc.currents import grid_depths, read_profile
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Array
 from sim.random_streams import Stream, generator
@@ -33,7 +33,7 @@ def _profile(water: Water, seed: int) -> tuple[Array, Array]:
             raise ConfigError("scenario", "[water] file", 'must name a currents CSV where kind = "measured"')
         profile = read_profile(water.file)
         return profile.depth_m, np.column_stack([profile.north_mps, profile.east_mps])
-    depth = markov.depths(water.deepest_m, water.cell_m)
+    depth = grid_depths(water.deepest_m, water.cell_m)
     axes = [
         markov.series(
             generator(seed, stream),

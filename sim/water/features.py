@@ -16,9 +16,9 @@ import math
 
 import numpy as np
 
+from ltv_mpc.currents import grid_depths
 from ltv_mpc.messages import Array
 from sim.scenario import Water
-from sim.water import markov
 
 STEP_M = 1.0
 """Thickness of the layer over which a step changes the velocity."""
@@ -41,7 +41,7 @@ class Feature:
                 at = water.feature.at_m
                 return np.union1d(own_m, [at - 0.5 * STEP_M, at + 0.5 * STEP_M])
             case "waves":
-                return np.union1d(own_m, markov.depths(water.deepest_m, water.cell_m))
+                return np.union1d(own_m, grid_depths(water.deepest_m, water.cell_m))
             case _:
                 return own_m
 

@@ -18,12 +18,6 @@ from scipy.special import ndtr, ndtri
 from ltv_mpc.messages import Array
 
 
-def depths(deepest_m: float, cell_m: float) -> Array:
-    """Return the cell centres 0, cell, 2 cell, ... down to the first at or below ``deepest_m``, shape (K,)."""
-    cells = math.ceil(deepest_m / cell_m - 1e-9)
-    return cell_m * np.arange(cells + 1, dtype=np.float64)
-
-
 def series(
     draws: np.random.Generator,
     cells: int,

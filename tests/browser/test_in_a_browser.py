@@ -198,7 +198,7 @@ def test_the_buttons_do_what_they_say(browser: Any, live: Served) -> None:
     with tab(browser, SCREEN, own=live.url) as page:
         page.goto(f"{live.url}#{live.token}")
         page.click("[data-button=stop]")
-        until(lambda: page.inner_text("#reply") == "stop accepted; command authority: controller")
+        until(lambda: page.inner_text("#reply") == "stop: accepted; command authority: controller")
         page.click("[data-button=kick]")
         page.click("[data-kill=controller]")
         until(lambda: vehicle.received_of(Disturbance) and vehicle.received_of(Kill))

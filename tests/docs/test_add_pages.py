@@ -83,10 +83,10 @@ import os
 os.environ["NUMBA_DISABLE_JIT"] = "1"  # to compile takes longer
 from tests.ltv_mpc.control.ocp import test_terms
 
-test_terms.test_the_model_has_value_and_slope_of_the_exact_term("yaw_rate", 0)
+test_terms.test_the_model_has_value_and_slope_of_the_exact_term("yaw_rate_s2_per_rad2", 0)
 test_terms.test_all_terms_are_in_cost_and_problem()
 for name in test_terms.SOLVERS:
-    test_terms.test_every_solver_feels_it("yaw_rate", name)
+    test_terms.test_every_solver_feels_it("yaw_rate_s2_per_rad2", name)
 """,
     "docs/add-vehicle.md": """
 from ltv_mpc import Controller, ControllerConfig, Estimate, Vehicle, references

@@ -61,7 +61,7 @@ NOT_RUN = (
         "makes environments; `make package` does it for real",
     ),
     (r"jupytext ", "needs the extra notebook; tests/examples runs it where it is installed"),
-    (r"dask |zenoh-bridge-ros2dds |scp |sudo |systemctl ", ELSEWHERE),
+    (r"dask |podman |zenoh-bridge-ros2dds |scp |sudo |systemctl ", ELSEWHERE),
 )
 
 ONCE = r"ltv-mpc (replay latest$|report latest$|doctor|log info latest$|log export latest --format parquet)"

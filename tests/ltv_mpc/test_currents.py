@@ -50,7 +50,7 @@ def test_semicolons_and_tabs_separate_decimal_commas(tmp_path, separator):
 
 
 def test_descending_depths_and_ends_without_a_current_are_read_with_a_note(tmp_path):
-    rows = ["5,NaN,NaN", "10,0.05,0.03", "20,0.04,0.02", "30,nan,NA", "40,NA,NA"]
+    rows = ["5,NaN,NaN", "10,0.05,0.03", "20,0.04,0.02", "30,nan,NA", "40,,"]
     for order in (rows, rows[::-1]):
         (tmp_path / "c.csv").write_text(HEADER + "\n".join(order))
         notes: list[str] = []
@@ -118,6 +118,7 @@ PRIOR = "depth_m,v_north_mps,u_east_mps,sd_mps,sd_common_mps\n"
         (read_profile, HEADER + "0,nan,nan\n1,nan,NA\n", ["no row"]),
         (read_profile, HEADER + "0,0,0\n1,nan,nan\n2,0,0\n", ["line 3 v_north_mps", "finite"]),
         (read_profile, HEADER + '"1",0.5,0.11,0.02\n', ["line 2", "4 cells", "names 3 columns", "row.names = FALSE"]),
+        (read_profile, HEADER.replace(",", ";") + "1;0,5;0,11;0,02\n", ["line 2", "4 cells", "row.names = FALSE"]),
         (read_profile, HEADER + "0,0,0,10,-0,05\n", ["line 2", "6 cells", "decimal commas", "semicolons"]),
         (read_profile, HEADER + "0;0;0\n", ["line 2 depth_m", "0;0;0", "number"]),
         (read_profile, HEADER + "0,5;0,11;0,02\n", ["line 2", "4 cells", "names separated by semicolons"]),

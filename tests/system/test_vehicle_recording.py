@@ -1,11 +1,17 @@
-"""A recording beside somebody else's vehicle: controller, recorder and the foreign craft as processes of their own."""
+"""A recording beside somebody else's vehicle: controller, recorder and the foreign craft as processes of their own.
+
+A vehicle needs neither the simulation nor the tools: the processes aboard run from a copy without both.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import io
 import json
+import shutil
+import subprocess
 import sys
+import sysconfig
 import time
 from datetime import datetime
 from pathlib import Path
@@ -18,9 +24,10 @@ from services.supervisor import loopback
 from tests.foreign_plant.flight import HERE, HULL
 from tests.foreign_plant.plant import AHEAD_NS
 from tests.services.reporting.test_report import data
-from tests.system.alone import CLI, started
+from tests.system.alone import started
 
 FLOWN_S = 8.0
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def ltv_mpc(*words: str) -> str:
@@ -32,29 +39,48 @@ def ltv_mpc(*words: str) -> str:
 
 
 @pytest.fixture(scope="module")
-def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def python(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, ...]:
+    """Return the command line of Python with a copy of the packages without sim/ and services/tools/."""
+    place = tmp_path_factory.mktemp("aboard")
+    for package in ("ltv_mpc", "services"):
+        shutil.copytree(ROOT / package, place / package, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.rmtree(place / "services" / "tools")
+    # -S leaves out the link from site-packages to this checkout, whose sim and tools would be found otherwise.
+    return "env", f"PYTHONPATH={place}:{sysconfig.get_path('purelib')}", sys.executable, "-S", "-P"
+
+
+@pytest.fixture(scope="module")
+def recording(python: tuple[str, ...], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Record a flight of the craft; the recorder starts last but for the craft itself."""
-    place = tmp_path_factory.mktemp("vehicle")
+    place, cli = tmp_path_factory.mktemp("vehicle"), (*python, "-m", "services.cli")
     (place / "point.toml").write_text('kind = "point"\nnorth_m = 0.0\neast_m = 0.0\n')
     endpoint = f"tcp/127.0.0.1:{loopback.free_port()}"
-    aboard = ("--vehicle", str(HULL), "--reference", str(place / "point.toml"))
+    aboard = ("--vehicle", str(HULL), "--reference", str(place / "point.toml"), "--log-json")
     with (
-        started(*CLI, "router", "--listen", endpoint) as (_, router),
-        started(*CLI, "controller", "--connect", endpoint, *aboard) as (stops_first, controller),
+        started(*cli, "router", "--listen", endpoint) as (_, router),
+        started(*cli, "controller", "--connect", endpoint, *aboard) as (stops_first, controller),
     ):
         router.until(lambda line: "ready at" in line)
         controller.until(lambda line: "waiting for" in line, within_s=300.0)
-        with started(*CLI, "recorder", "--connect", endpoint, "--out", str(place / "run")) as (process, recorder):
+        with started(*cli, "recorder", "--connect", endpoint, "--out", str(place / "run")) as (process, recorder):
             recorder.until(lambda line: "waiting for an estimate" in line)
             with started(sys.executable, "-P", str(HERE / "plant.py"), endpoint) as (_, plant):
                 recorder.until(lambda line: "following the vehicle's own clock" in line)
                 plant.until(lambda line: line.startswith("{") and json.loads(line)["t_s"] >= FLOWN_S)
+            told = {"note", "health", "authority", "source"}
+            controller.until(lambda _: told <= {json.loads(line)["kind"] for line in controller.said})
             stops_first.terminate()
             stops_first.wait(20.0)
             process.terminate()
             recorder.until(lambda line: "messages recorded, none lost" in line)
             assert process.wait(20.0) == 0
     return place / "run"
+
+
+def test_the_copy_has_neither_simulation_nor_tools(python: tuple[str, ...]) -> None:
+    for module in ("sim", "services.tools"):
+        found = subprocess.run([*python, "-c", f"import {module}"], capture_output=True, text=True, check=False)
+        assert f"No module named '{module}'" in found.stderr
 
 
 @pytest.mark.timeout(600)

@@ -17,15 +17,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from ltv_mpc.control.config import Weights
-from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import Linearisation
 from ltv_mpc.control.ocp import limits, terms
 from ltv_mpc.control.ocp.problem import Problem
-from ltv_mpc.control.problem_data import CHANGES, COMMANDS, Objective, pack_objective, unpack_objective
+from ltv_mpc.control.problem_data import CHANGES, COMMANDS, Constants
+from ltv_mpc.control.scaling import state_scale, thrust_scale
 from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.flow import STATES
+from ltv_mpc.vehicle.parameters import Vehicle
 
 SIZE = CHANGES + 2
 """Numbers of a stage: 10 states and 2 inputs."""
@@ -43,17 +43,16 @@ def empty(stages: int, rows: int = 0) -> Problem:
 
 
 @jit
-def fill(packed: Array, lin: Linearisation, target: Array, p: Problem) -> None:
+def fill(o: Constants, lin: Linearisation, target: Array, p: Problem) -> None:
     """Fill in the motion, all terms of the cost and the limits that have rows at every knot.
 
     Parameters
     ----------
-    packed : a packed objective (problem_data.py).
+    o : constants of the controller.
     lin : the motion along the nominal trajectory.
     target : (N+1, 3) as in ``ocp/terms.py``.
     p : is overwritten; further rows are empty.
     """
-    o = unpack_objective(packed)
     for part in (p.F, p.H, p.G):
         part[:, :, :] = 0.0
     p.h[:, :] = 0.0
@@ -80,7 +79,7 @@ def fill(packed: Array, lin: Linearisation, target: Array, p: Problem) -> None:
 
 
 @jit
-def cost(X: Array, U: Array, C: Array, target: Array, o: Objective) -> float:
+def cost(X: Array, U: Array, C: Array, target: Array, o: Constants) -> float:
     """Return the cost of a trajectory along the exact flow, without that of fence and corridor.
 
     Parameters
@@ -90,28 +89,21 @@ def cost(X: Array, U: Array, C: Array, target: Array, o: Objective) -> float:
     return terms.cost(X, U, C, target, o, None) + limits.cost(X, target, o)
 
 
-def scales(limits: HorizonLimits) -> Array:
-    """Return what is 1 in each number of a stage (12,).
-
-    Parameters
-    ----------
-    limits : has the scales.
-    """
-    return np.concatenate([limits.state_scale, np.tile(limits.thrust_scale, 3)])
+def scales(vehicle: Vehicle) -> Array:
+    """Return what is 1 in each number of a stage (12,)."""
+    return np.concatenate([state_scale(vehicle), np.tile(thrust_scale(vehicle), 3)])
 
 
-def problem_along(lin: Linearisation, target: Array, knots: Array, limits: HorizonLimits, weights: Weights) -> Problem:
+def problem_along(lin: Linearisation, target: Array, o: Constants) -> Problem:
     """Return a new problem along a motion, without fence and further terms.
 
     Parameters
     ----------
     lin : the motion.
     target : (N+1, 3) as in ``ocp/terms.py``; the headings may be left out where the weights have none.
-    knots : (N+1,) in first stages.
-    limits : limits of thrusters and motion.
-    weights : weights of the cost.
+    o : constants of the controller.
     """
     problem, wanted = empty(len(lin.Phi)), np.zeros((len(target), 3))
     wanted[:, : target.shape[1]] = target
-    fill(pack_objective(knots, limits, weights), lin, wanted, problem)
+    fill(o, lin, wanted, problem)
     return problem

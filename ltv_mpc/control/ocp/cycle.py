@@ -13,12 +13,11 @@ from typing import NamedTuple
 import numpy as np
 
 from ltv_mpc.control.fence_clearance import Scene
-from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import Linearisation
 from ltv_mpc.control.ocp import assembly, fence, limits
 from ltv_mpc.control.ocp.extension import Extensions, Limit, Term
 from ltv_mpc.control.ocp.problem import Problem, least_surplus
-from ltv_mpc.control.problem_data import CHANGES, COMMANDS
+from ltv_mpc.control.problem_data import CHANGES, COMMANDS, Constants
 from ltv_mpc.messages import Array
 
 
@@ -38,22 +37,17 @@ UNKNOWN = Score(math.inf, math.inf, False, 0.0)
 class Cycle:
     """Constants, target, zones and linearisation of a cycle, and its problems."""
 
-    def __init__(
-        self, packed: Array, knots: Array, scales: HorizonLimits, scene: Scene, terms: Sequence[Term | Limit] = ()
-    ) -> None:
+    def __init__(self, constants: Constants, scene: Scene, terms: Sequence[Term | Limit] = ()) -> None:
         """Allocate the arrays.
 
         Parameters
         ----------
-        packed : packed constants (``problem_data.pack_constants``).
-        knots : (N+1,) in first stages.
-        scales : scales of the vehicle.
+        constants : of the controller; a cycle may begin with others.
         scene : zones and obstacles.
         terms : of a user, beside those of ``ocp/``.
         """
-        stages = len(knots) - 1
-        self.packed, self.scene, self.knots = packed, scene, knots
-        self._scales = assembly.scales(scales)
+        stages = len(constants.t) - 1
+        self.constants, self.scene = constants, scene
         self.target = np.zeros((stages + 1, 3))
         """Target at the knots (``ocp/terms.py``)."""
         self.lin = Linearisation.empty(stages)
@@ -62,7 +56,7 @@ class Cycle:
         """State at the first knot, and commands there."""
         self.score = UNKNOWN
         """Score of the nominal trajectory."""
-        self.further = Extensions(terms, np.diff(knots), self._scales[:CHANGES], self.target) if terms else None
+        self.further = Extensions(terms, np.diff(constants.t), self.target) if terms else None
         """Terms and limits of a user."""
         self.plain = assembly.empty(stages, 0 if self.further is None else self.further.rows)
         """Problem without the rows of the fence."""
@@ -94,12 +88,18 @@ class Cycle:
         ----------
         problem : is overwritten.
         """
-        assembly.fill(self.packed, self.lin, self.target, problem)
-        if self.further is not None:
-            self.further.add(problem, limits.ROWS, self.lin.X, self.lin.U)
+        self._fill(problem, self.lin, self.target)
         if problem is self.fenced:
-            fence.fill(self.packed, self.lin.X, self.scene, self.fence_rows, problem)
+            fence.fill(self.constants, self.lin.X, self.scene, self.fence_rows, problem)
         return problem
+
+    def _fill(self, problem: Problem, lin: Linearisation, target: Array) -> None:
+        """Fill in all but the rows of the fence."""
+        o = self.constants
+        assembly.fill(o, lin, target, problem)
+        if self.further is not None:
+            scale = np.concatenate([o.state_scale, o.thrust_scale, o.thrust_scale])
+            self.further.add(problem, limits.ROWS, lin.X, lin.U, scale)
 
     def surplus(self, z: Array) -> float:
         """Return by how much a solution keeps the rows of the fence; negative: not all of them.
@@ -117,14 +117,14 @@ class Cycle:
         ----------
         z : (N+1, 12) solution; the first row is the command in force.
         """
-        commands = z[:, COMMANDS:CHANGES] * self._scales[COMMANDS:CHANGES]
+        commands = z[:, COMMANDS:CHANGES] * self.constants.thrust_scale
         commands += self.lin.U
         return commands
 
     @property
     def position_scale_m(self) -> float:
         """Scale S of a position."""
-        return float(self._scales[0])
+        return float(self.constants.state_scale[0])
 
     def full_problem(self, problem: Problem, lin: Linearisation) -> Problem:
         """Return a problem of a size in which every number that can differ from zero does: it gives the pattern.
@@ -138,8 +138,6 @@ class Cycle:
         """
         N, n, m, M = problem.sizes
         full, first = Problem.empty(N, n, m, M), self.plain.sizes[3]
-        assembly.fill(self.packed, lin, np.ones_like(self.target), full)
-        if self.further is not None:
-            self.further.add(full, limits.ROWS, lin.X, lin.U)
+        self._fill(full, lin, np.ones_like(self.target))
         full.G[1:, first:, :2], full.low[1:, first:], full.penalty[1:, first:] = 1.0, -1.0, 1.0
         return full

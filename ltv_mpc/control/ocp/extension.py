@@ -107,19 +107,18 @@ class Limit:
 class Extensions:
     """All terms and limits of a user, as the controller takes them."""
 
-    def __init__(self, terms: Sequence[Term | Limit], lengths: Array, scale: Array, target: Array) -> None:
+    def __init__(self, terms: Sequence[Term | Limit], lengths: Array, target: Array) -> None:
         """Take them.
 
         Parameters
         ----------
         terms : in any order.
         lengths : (N,) of the stages.
-        scale : (10,) what is 1 in the states of the problem.
         target : (N+1, 3) as in ``ocp/terms.py``; each cycle overwrites it.
         """
         self._terms = [term for term in terms if isinstance(term, Term)]
         self._limits = [term for term in terms if isinstance(term, Limit)]
-        self._lengths, self._scale, self._target = lengths, scale, target
+        self._lengths, self._target = lengths, target
 
     @property
     def rows(self) -> int:
@@ -137,7 +136,7 @@ class Extensions:
         motion = self._motion(X, U)
         return sum(term.cost(motion) for term in self._terms) + sum(limit.cost(motion) for limit in self._limits)
 
-    def add(self, p: Problem, first: int, X: Array, U: Array) -> None:
+    def add(self, p: Problem, first: int, X: Array, U: Array, scale: Array) -> None:
         """Add quadratic models and rows to a problem.
 
         Parameters
@@ -145,17 +144,18 @@ class Extensions:
         p : problem.
         first : number of the first row of these limits.
         X, U : the nominal trajectory, as in ``cost``.
+        scale : (10,) what is 1 in the states of the problem.
         """
         motion = self._motion(X, U)
-        n = len(self._scale)
+        n = len(scale)
         for term in self._terms:
-            slopes = term.slopes(motion) * self._scale
+            slopes = term.slopes(motion) * scale
             p.H[1:, :n, :n] += np.einsum("kdi,kdj->kij", slopes, slopes)
             p.h[1:, :n] += np.einsum("kdi,kd->ki", slopes, term.residuals(motion))
         for limit in self._limits:
             rows = slice(first, first + len(limit.low))
             value, unit = limit.values(motion), np.asarray(limit.unit)
-            p.G[1:, rows, :n] = limit.slopes(motion) * self._scale / unit[:, None]
+            p.G[1:, rows, :n] = limit.slopes(motion) * scale / unit[:, None]
             p.low[1:, rows], p.high[1:, rows] = (limit.low - value) / unit, (limit.high - value) / unit
             p.penalty[1:, rows] = limit.penalty * self._lengths[:, None]
             first = rows.stop

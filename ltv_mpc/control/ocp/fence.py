@@ -20,7 +20,7 @@ import numpy as np
 
 from ltv_mpc.control.fence_clearance import CORRIDOR_PENALTY, PENALTY, Scene, cross_track, disc_at, sag_m, stage_lack
 from ltv_mpc.control.ocp.problem import Problem
-from ltv_mpc.control.problem_data import stage_length, unpack_constants
+from ltv_mpc.control.problem_data import Constants, stage_length
 from ltv_mpc.geofence.half_planes import ROWS, HalfPlanes, half_planes, insert_row
 from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array
@@ -33,20 +33,19 @@ REACH = 4.0
 
 
 @jit
-def fill(packed: Array, X: Array, scene: Scene, rows: int, p: Problem) -> None:
+def fill(o: Constants, X: Array, scene: Scene, rows: int, p: Problem) -> None:
     """Fill in the rows of a cycle, which are the last ones of a problem.
 
     Parameters
     ----------
-    packed : packed constants (problem_data.py).
+    o : constants of the controller.
     X : (N+1, 8) nominal states.
     scene : zones and obstacles.
     rows : how many rows a knot has for fence and corridor.
     p : problem; these rows are overwritten.
     """
     stages = len(p.f)
-    o, Z = unpack_constants(packed).objective, len(scene.need)
-    scale, first = o.state_scale[0], p.G.shape[1] - rows
+    Z, scale, first = len(scene.need), o.state_scale[0], p.G.shape[1] - rows
     points, required = np.empty((stages, 2)), np.empty((stages, Z))
     times, reach = np.empty(stages), np.full(stages, REACH * scale)
     at = _worst_points(X, scene, o.t)

@@ -8,9 +8,12 @@ A start outside the box (a limit that was just lowered) returns into it at the s
 are linear between knots, so |dF/dt| <= slew everywhere, and also at the junction of two plans, because U_0 is the
 command in force there.
 
-The past can make a limit of the motion impossible to keep, so it is soft. The dual of a limit of speed is the gain from
-passing it: at most the slope of the cost of position, summed over the horizon, times the way that the excess makes.
-Duals that occur are up to 0.4 times that sum, which is the penalty c (``excess_penalty``).
+The slew limit is never violated. The box is violated only while a command that starts outside it returns.
+
+The past can make a limit of the motion impossible to keep, so it is soft, with an exact penalty (``problem.py``): once
+that is larger than the dual of the limit, the solution is that of the hard limit wherever there is one. The dual of a
+limit of speed is the gain from passing it: at most the slope of the cost of position, summed over the horizon, times
+the way that the excess makes. Duals that occur are up to 0.4 times that sum, which is the penalty (``excess_penalty``).
 
 Arguments as in ``terms.py``; ``lin`` is the motion along the nominal trajectory.
 """
@@ -19,19 +22,29 @@ from __future__ import annotations
 
 import numpy as np
 
-from ltv_mpc.control.horizon_limits import LIMITED_STATES, MIN_PENALTY, command_bounds
 from ltv_mpc.control.linearisation import Linearisation
 from ltv_mpc.control.ocp.problem import Problem
-from ltv_mpc.control.problem_data import CHANGES, COMMANDS, Objective, stage_length
+from ltv_mpc.control.problem_data import (
+    CHANGES,
+    COMMANDS,
+    LIMITED_STATES,
+    POSITION,
+    TERMINAL_POSITION,
+    Constants,
+    stage_length,
+)
 from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array
 
 BOX, SLEW, MOTION, ROWS = 0, 2, 4, 6
 """First row at a knot: box of port and starboard, slew of both, surge and yaw rate; and the number of all rows."""
 
+MIN_PENALTY = 100.0
+"""Least cost of an excess that is 1 in the QP, over one stage of 0.3 s."""
+
 
 @jit
-def cost(X: Array, target: Array, o: Objective) -> float:
+def cost(X: Array, target: Array, o: Constants) -> float:
     """Return the cost of the excesses along a trajectory, which is that of the problem.
 
     Parameters
@@ -48,7 +61,7 @@ def cost(X: Array, target: Array, o: Objective) -> float:
 
 
 @jit
-def add(p: Problem, lin: Linearisation, target: Array, o: Objective) -> None:
+def add(p: Problem, lin: Linearisation, target: Array, o: Constants) -> None:
     """Add the rows to a problem.
 
     Parameters
@@ -74,7 +87,7 @@ def add(p: Problem, lin: Linearisation, target: Array, o: Objective) -> None:
 
 
 @jit
-def excess_penalty(X: Array, target: Array, o: Objective) -> float:
+def excess_penalty(X: Array, target: Array, o: Constants) -> float:
     """Return the cost of an excess that is 1 in the problem, over one first stage: more than the duals that occur.
 
     Parameters
@@ -88,7 +101,7 @@ def excess_penalty(X: Array, target: Array, o: Objective) -> float:
     """
     N, pull = target.shape[0] - 1, 0.0
     for k in range(N):
-        weight = o.position * stage_length(o.t, k + 1) + (o.terminal_position if k == N - 1 else 0.0)
+        weight = o.weights[POSITION] * stage_length(o.t, k + 1) + (o.weights[TERMINAL_POSITION] if k == N - 1 else 0.0)
         pull += weight * np.hypot(X[0, 0] - target[k, 0], X[0, 1] - target[k, 1])
     return float(max(MIN_PENALTY, pull * o.state_scale[0]))
 
@@ -111,3 +124,43 @@ def names(scale: Array) -> list[tuple[str, float, str]]:
         ("limit of surge at the end of stage {knot}", float(scale[2]), "m/s"),
         ("limit of yaw rate at the end of stage {knot}", float(scale[5]), "rad/s"),
     ]
+
+
+@jit
+def command_bounds(start: float, reach: float, low: float, high: float) -> tuple[float, float]:
+    """Return the bounds of one thruster's command at a knot.
+
+    A start outside the box (a limit that was just lowered) returns into it at the slew limit, so that the QP always has
+    a solution. From a start inside, the bounds are the box itself, however little of it is within reach: the slew rows
+    bound the commands already, and a box that is active nowhere costs the solver nothing.
+
+    Parameters
+    ----------
+    start : command in force at knot 0 (N).
+    reach : largest change from there to the knot (N).
+    low, high : box (N).
+
+    Returns
+    -------
+    Lower and upper bound (N).
+    """
+    return min(low, start + reach), max(high, start - reach)
+
+
+@jit
+def clip_to_limits(U: Array, t: Array, low: Array, high: Array, max_change: Array) -> None:
+    """Clip commands in place, knot by knot: first to the slew from the knot before, then to the box.
+
+    Parameters
+    ----------
+    U : (N+1, 2) commands (N); the first stays, the others are overwritten.
+    t : (N+1,) knots in first stages.
+    low, high : (2,) box (N).
+    max_change : (2,) largest change over the first stage (N).
+    """
+    for k in range(1, U.shape[0]):
+        for i in range(2):
+            change = (t[k] - t[k - 1]) * max_change[i]
+            lower, upper = command_bounds(U[0, i], t[k] * max_change[i], low[i], high[i])
+            U[k, i] = min(max(U[k, i], U[k - 1, i] - change), U[k - 1, i] + change)
+            U[k, i] = min(max(U[k, i], lower), upper)

@@ -180,7 +180,6 @@ def optimality_error(p: Problem, z: Array, y: Array) -> float:
     return worst if np.isfinite(total) else np.inf
 
 
-@jit
 def least_surplus(p: Problem, z: Array, first: int) -> float:
     """Return by how much the rows from a number on are kept; negative: not all are.
 
@@ -190,10 +189,7 @@ def least_surplus(p: Problem, z: Array, first: int) -> float:
     z : (N+1, n+m) inputs; the states follow from them.
     first : number of the first row that counts.
     """
-    own, g, least = z.copy(), p.low.copy(), np.inf
+    own, g = z.copy(), p.low.copy()
     roll_out(p, own)
     row_values(p, own, g)
-    for k in range(g.shape[0]):
-        for i in range(first, g.shape[1]):
-            least = min(least, g[k, i] - p.low[k, i], p.high[k, i] - g[k, i])
-    return float(least)
+    return float(np.minimum(g - p.low, p.high - g)[:, first:].min(initial=np.inf))

@@ -24,7 +24,7 @@ Arguments, here and in ``limits.py``:
     C       (N+1, 2) current, north and east (m/s)
     target  (N+1, 3) positions (m) wanted at the knots 1 .. N, then the velocity over ground (m/s) wanted at the last
             one; third column: the heading (rad) wanted at the knots 1 .. N, read if the heading has a weight
-    o       weights, scales and knots
+    o       constants of the controller: weights, limits, scales and knots
     p       problem (problem.py), or None
 """
 
@@ -34,13 +34,24 @@ import numpy as np
 
 from ltv_mpc.control.linearisation import velocity_over_ground
 from ltv_mpc.control.ocp.problem import Problem
-from ltv_mpc.control.problem_data import CHANGES, COMMANDS, Objective, stage_length
+from ltv_mpc.control.problem_data import (
+    CHANGES,
+    COMMANDS,
+    HEADING,
+    POSITION,
+    TERMINAL_POSITION,
+    TERMINAL_VELOCITY,
+    THRUST,
+    THRUST_CHANGE,
+    Constants,
+    stage_length,
+)
 from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array
 
 
 @jit
-def cost(X: Array, U: Array, C: Array, target: Array, o: Objective, p: Problem | None) -> float:
+def cost(X: Array, U: Array, C: Array, target: Array, o: Constants, p: Problem | None) -> float:
     """Return the cost of a trajectory, and add gradient and Hessian of its terms to a problem.
 
     Parameters
@@ -48,25 +59,25 @@ def cost(X: Array, U: Array, C: Array, target: Array, o: Objective, p: Problem |
     X, U, C, target, o : as at the head of this file.
     p : None: the cost alone.
     """
-    total, N, S, F = 0.0, len(X) - 1, o.state_scale, o.thrust_scale
+    total, N, w, S, F = 0.0, len(X) - 1, o.weights, o.state_scale, o.thrust_scale
     for k in range(1, N + 1):
         g = stage_length(o.t, k)
         for i in range(2):
-            place = o.position * g + (o.terminal_position if k == N else 0.0)
+            place = w[POSITION] * g + (w[TERMINAL_POSITION] if k == N else 0.0)
             total += _square(p, k, i, place, X[k, i] - target[k - 1, i], S[i])
-            total += _square(p, k, COMMANDS + i, o.thrust * g, U[k, i] / F[i], 1.0)
-            total += _square(p, k - 1, CHANGES + i, o.thrust_change / g, (U[k, i] - U[k - 1, i]) / F[i], 1.0)
-        if o.heading != 0.0:
+            total += _square(p, k, COMMANDS + i, w[THRUST] * g, U[k, i] / F[i], 1.0)
+            total += _square(p, k - 1, CHANGES + i, w[THRUST_CHANGE] / g, (U[k, i] - U[k - 1, i]) / F[i], 1.0)
+        if w[HEADING] != 0.0:
             off = X[k, 4] - target[k - 1, 2]
             off -= 2.0 * np.pi * np.round(off / (2.0 * np.pi))
-            total += _square(p, k, 4, o.heading * g, off, S[4])
+            total += _square(p, k, 4, w[HEADING] * g, off, S[4])
     velocity, slope = velocity_over_ground(X[N], C[N])
     for axis in range(2):
         off = velocity[axis] - target[N, axis]
-        total += o.terminal_velocity * off * off
+        total += w[TERMINAL_VELOCITY] * off * off
         if p is not None:
             for i in range(3):
-                weight = o.terminal_velocity * slope[axis, i] * S[2 + i]
+                weight = w[TERMINAL_VELOCITY] * slope[axis, i] * S[2 + i]
                 p.h[N, 2 + i] += weight * off
                 for j in range(3):
                     p.H[N, 2 + i, 2 + j] += weight * slope[axis, j] * S[2 + j]

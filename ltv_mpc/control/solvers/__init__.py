@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 
 from ltv_mpc.control.config import ControllerConfig, ResolvedConfig
@@ -9,19 +10,12 @@ from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.solvers.interface import Result, Solver
 from ltv_mpc.control.solvers.osqp import OsqpSolver
 from ltv_mpc.control.solvers.qpsolvers_backend import QpsolversBackend, installed_backends, solve_qp
-from ltv_mpc.control.solvers.riccati import RiccatiSolver
 from ltv_mpc.errors import SolverNotInstalled
 from ltv_mpc.vehicle.parameters import Vehicle
 
-
-def _checked_riccati(config: ResolvedConfig) -> Solver:
-    """Return the Riccati solver; OSQP solves what it does not solve."""
-    return RiccatiSolver(config, OsqpSolver(config))
-
-
 SOLVERS: dict[str, Callable[[ResolvedConfig], Solver]] = {
     "osqp": OsqpSolver,
-    "riccati": _checked_riccati,
+    "riccati": functools.partial(OsqpSolver, confirms=False),
 }
 """Solvers of this project by name, which keep their workspace between cycles. Other names are backends of qpsolvers."""
 

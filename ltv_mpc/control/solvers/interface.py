@@ -16,46 +16,32 @@ class Result(NamedTuple):
 
 
 class Solver(Protocol):
-    """Solver of a problem of stages (ocp/problem.py), which keeps workspace and warm start from cycle to cycle.
+    """Solver of problems of stages (ocp/problem.py) of one size, which keeps its workspace from solve to solve.
 
-    A solver of the table ``SOLVERS`` has the constructor ``Solver(config)``, with resolved settings. A cycle calls
-    ``shift_warm_start`` or ``reset_warm_start``, then ``build``, ``update`` and ``solve``. A problem that cannot be
-    solved is reported by the status of the result, not by an exception. The controller still treats an exception as a
-    failed solve, because solvers of other authors may raise. docs/add-solver.md shows how to add one.
-
-    If another QP of the same cycle follows, the cycle calls ``draft()`` after ``build``, if the solver has it. It
-    returns an exact result without the solver's last check, which replaces ``update`` and ``solve``, or None.
+    A solver of the table ``SOLVERS`` has the constructor ``Solver(config)``, with resolved settings. A problem that
+    cannot be solved is reported by the status of the result, not by an exception. The controller still treats an
+    exception as a failed solve, because solvers of other authors may raise. docs/add-solver.md shows how to add one.
     """
 
-    def shift_warm_start(self, stages: float) -> None:
-        """Prepare the warm start for knots that lie later along the same plan.
+    def set_up(self, problem: Problem) -> None:
+        """Prepare the solver, once and before the first solve.
 
         Parameters
         ----------
-        stages : by how many first stages the next problem's knots lie later than the last one's.
+        problem : has a number in every place where a later one can have one, so that a sparse solver knows its pattern;
+            it is not to be solved.
         """
         ...
 
-    def reset_warm_start(self) -> None:
-        """Discard the warm start: the next problem is unrelated to the last one."""
-        ...
-
-    def build(self, problem: Problem) -> None:
-        """Take the problem.
+    def solve(self, problem: Problem, shift: float, *, last: bool = True) -> Result:
+        """Solve a problem.
 
         Parameters
         ----------
-        problem : of any size; the next cycle overwrites it. The first one of a size is never solved: it has a number in
-            every place where a later one can have one, so that a sparse solver knows its pattern.
-        """
-        ...
-
-    def update(self) -> None:
-        """Pass the numbers to the solver's workspace."""
-        ...
-
-    def solve(self) -> Result:
-        """Solve the problem that was built last.
+        problem : the next cycle overwrites it.
+        shift : by how many first stages its knots lie later, along the same plan, than those of the last one; NaN if
+            the last one is not related to it: begin without a warm start.
+        last : False if another QP of the cycle follows, whose nominal trajectory comes from this solution.
 
         Returns
         -------

@@ -10,9 +10,9 @@ this needs no additional factorisation.
 First guess: inputs and duals of all limits from the Riccati method (riccati.py), which nearly always are those of the
 solution. A forward sweep gives the states that they lead to; a backward sweep gives the duals of the dynamics
 (costates). OSQP then confirms the solution after one iteration. It does so for the last QP of a cycle, whose commands
-are sent; the solution of one before it is taken if it meets the conditions of the optimum (``draft``). Where the
-Riccati method does not apply (a cost that does not determine the inputs), the guess is no deviation, with the duals of
-the previous solve.
+are sent; the solution of one before it is taken if it meets the conditions of the optimum. Where the Riccati method
+does not apply (a cost that does not determine the inputs), the guess is no deviation, with the duals of the previous
+solve. The solver ``riccati`` is the same without the confirmation.
 
 Over-relaxation is off: with step sizes this unequal the plain iteration is faster.
 
@@ -22,7 +22,6 @@ solution and copies all settings and results, which takes as long as two Riccati
 
 from __future__ import annotations
 
-import math
 import signal
 from typing import NamedTuple
 
@@ -30,13 +29,13 @@ import numpy as np
 from osqp import SolverStatus, ext_builtin
 from scipy.sparse import csc_array, csc_matrix
 
-from ltv_mpc.control import shooting_grid
 from ltv_mpc.control.config import ResolvedConfig
-from ltv_mpc.control.ocp.problem import Problem, costates, is_finite, optimality_error, roll_out, row_values
+from ltv_mpc.control.ocp.problem import Problem, costates, is_finite, optimality_error
 from ltv_mpc.control.solvers import riccati
-from ltv_mpc.control.solvers.active_set import CONVERGED, FAILED
+from ltv_mpc.control.solvers.active_set import CONVERGED
 from ltv_mpc.control.solvers.interface import Result
 from ltv_mpc.control.solvers.interior_point import MAX_OPTIMALITY_ERROR
+from ltv_mpc.control.solvers.riccati import NOT_ACTIVE
 from ltv_mpc.control.solvers.sparse import (
     DYNAMICS,
     EXCESS,
@@ -44,7 +43,6 @@ from ltv_mpc.control.solvers.sparse import (
     LOWER,
     UPPER,
     Indices,
-    Masks,
     Numbers,
     Places,
     SparseLayout,
@@ -118,11 +116,8 @@ SOFT_ROW, SOFT_ACTIVE, EXCESS_ROW = 0.05, 0.1, 5.0
 NOT_EXCEEDED = 1e-3
 """Distance of a soft row's dual from its penalty above which the row is not exceeded."""
 
-NOT_ACTIVE = 1e-9
-"""Magnitude below which a dual is zero up to rounding."""
-
-NOT_FINITE, MISFIT = -1.0, -2.0
-"""Size of a problem that has a number that is not finite, or one that the layout has no place for."""
+NOT_FINITE = -1.0
+"""Size of a problem that has a number that is not finite."""
 
 FIRST_BATCH = 1
 """Iterations of the first batch: the first guess usually is the solution."""
@@ -146,123 +141,99 @@ class Arrays(NamedTuple):
     u: Array
     scaled_y: Array
 
+    @classmethod
+    def empty(cls, layout: SparseLayout) -> Arrays:
+        """Return the arrays of a layout, without numbers.
+
+        Parameters
+        ----------
+        layout : gives the sizes.
+        """
+        n, m = layout.variables, layout.rows
+        return cls(layout.allocate(), *(np.zeros(size) for size in (n, m, m, layout.A.nnz, m, m, m)))
+
 
 class OsqpSolver:
-    """OSQP as the default solver of the controller."""
+    """OSQP on the sparse QP, from the solution of the Riccati sweeps: the default solver of the controller."""
 
-    def __init__(self, config: ResolvedConfig) -> None:
+    def __init__(self, config: ResolvedConfig, *, confirms: bool = True) -> None:
         """Set nothing up: the first problem gives the sizes.
 
         Parameters
         ----------
         config : knots, limit of iterations; ``tolerance`` is absolute, on residuals of the scaled problem.
+        confirms : False: a solution of the sweeps that meets the conditions of the optimum is also that of the last QP
+            of a cycle. OSQP solves the first one in any case, so that it is set up before it is needed.
         """
         self._knots, self._max_iterations, self._tolerance = config.knots, config.max_iterations, config.tolerance
-        self._eps = config.tolerance
-        self._shift = math.nan
-        self.problem: Problem | None = None
-        """Problem that was built last."""
+        self._confirms = confirms
         self.layout: SparseLayout | None = None
-        """Layout of its QP; ``arrays`` has the QP's numbers and its point, ``duals`` those of the limits (N+1, M)."""
+        """Layout of the QP; ``arrays`` has the QP's numbers and its point, ``duals`` those of the limits (N+1, M)."""
+        self.duals = np.zeros((0, 0))
         self._solver: ext_builtin.OSQPSolver | None = None
         self._settings = ext_builtin.OSQPSettings()
         ext_builtin.osqp_set_default_settings(self._settings)
         for name, value in SETTINGS.items():
             setattr(self._settings, name, value)
-        self._finite = self._converged = False
 
-    def shift_warm_start(self, stages: float) -> None:
-        """Shift the duals of the limits to later knots (see ``Solver``).
-
-        Parameters
-        ----------
-        stages : by how many first stages the next problem's knots lie later than the last one's.
-        """
-        self._shift = stages
-
-    def reset_warm_start(self) -> None:
-        """Discard the warm start (see ``Solver``)."""
-        self._shift = math.nan
-
-    def build(self, problem: Problem) -> None:
-        """Compute the QP, its first guess and the scales of its rows (see ``Solver``).
+    def set_up(self, problem: Problem) -> None:
+        """Lay out the QP of a problem, and of those before it (see ``Solver``).
 
         Parameters
         ----------
-        problem : is read now alone.
+        problem : gives sizes and pattern.
         """
-        self.problem, before = problem, self.layout
-        if before is None or before.masks.H.shape != problem.H.shape or before.masks.low.shape != problem.low.shape:
-            before, self.layout = None, None
-            self.work, self.duals, self._shift = Sweep.empty(problem), np.zeros(problem.low.shape), math.nan
-        size = self._prepare(problem)
-        if size == MISFIT and not is_finite(problem):  # its pattern would be wrong
-            size = NOT_FINITE
-        if size == MISFIT:
-            self.layout = layout = SparseLayout(problem, before)
-            rows, columns = layout.rows, layout.variables
-            self.arrays = Arrays(
-                layout.allocate(), np.zeros(columns), np.zeros(rows), np.zeros(rows),
-                np.zeros(layout.A.nnz), np.zeros(rows), np.zeros(rows), np.zeros(rows),
-            )  # fmt: skip
-            self._solver = None
-            size = self._prepare(problem)
-        self._finite = size >= 0.0
+        self._allocate(problem)
+        self.layout = SparseLayout(problem, self.layout)
+        self.arrays, self._solver = Arrays.empty(self.layout), None
 
-    def _prepare(self, problem: Problem) -> float:
-        """Prepare the solve in the present layout; return ``prepare``'s size."""
-        if self.layout is None:
-            return MISFIT
-        size, costate, outcome = prepare(
-            problem, self.layout.masks, self.layout.places, self._knots, self._shift, self.work, self.duals, self.arrays
-        )
-        self._converged = outcome == CONVERGED
-        self._eps = max(self._tolerance * size, ROUNDING * costate if self.layout.soft_rows else 0.0)
-        return float(size)
+    def _allocate(self, problem: Problem) -> None:
+        """Make a workspace for problems of the size of this one, unless there is one."""
+        if self.duals.shape != problem.low.shape:
+            self.work, self.duals = Sweep.empty(problem), np.zeros(problem.low.shape)
+            self.layout = self._solver = None
 
-    def draft(self) -> Result | None:
-        """Return the solution of the Riccati sweeps, if it meets the conditions of the optimum (see ``Solver``)."""
-        p = self.problem
-        if p is None or not (self._finite and self._converged):
-            return None
-        if optimality_error(p, self.work.z, self.duals) > MAX_OPTIMALITY_ERROR:
-            return None
-        self._shift = 0.0
-        return Result(self.work.z.copy(), Solve(status=SolveStatus.SOLVED))
+    def solve(self, problem: Problem, shift: float, *, last: bool = True) -> Result:
+        """Solve a problem.
 
-    def update(self) -> None:
-        """Pass the problem to OSQP; the first one sets it up (see ``Solver``)."""
-        if not self._finite or self.layout is None:  # a NaN would stay in the workspace for every later solve
-            return
-        at, layout = self.arrays, self.layout
+        Parameters
+        ----------
+        problem, shift, last : as in ``Solver``.
+        """
+        self._allocate(problem)
+        outcome, sweeps = riccati.solve(problem, self.work, self._knots, shift, self.duals)
+        if outcome == CONVERGED and not (last and (self._confirms or self._solver is None)):
+            error = optimality_error(problem, self.work.z, self.duals)
+            if error <= MAX_OPTIMALITY_ERROR:
+                report = Solve(status=SolveStatus.SOLVED, iterations=sweeps, primal_residual=error, dual_residual=error)
+                return Result(self.work.z.copy(), report)
+        if self.layout is None or not fits(problem, self.layout.masks):
+            if not is_finite(problem):  # its pattern would be wrong
+                return self._no_solution("the problem is not finite")
+            self.set_up(problem)
+        return self._iterate(problem)
+
+    def _iterate(self, p: Problem) -> Result:
+        """Solve with OSQP from the result of the sweeps, for ``max_iterations`` or a few more: never by time."""
+        layout, at, settings = self.layout, self.arrays, self._settings
+        assert layout is not None
+        size, costate = prepare(p, layout.places, self.work, self.duals, at)
+        if size == NOT_FINITE:  # a NaN would stay in the workspace for every later solve
+            return self._no_solution("the problem is not finite")
+        settings.eps_abs = max(self._tolerance * size, ROUNDING * costate if layout.soft_rows else 0.0)
         if self._solver is None:
             rescale(layout.places, at)  # changes nothing, but is compiled now and not with the first hard problem
             P, A = (_csc(of, data) for of, data in ((layout.P, at.numbers.P), (layout.A, at.A)))
-            sizes = layout.rows, layout.variables
-            self._solver = ext_builtin.OSQPSolver(P, at.numbers.q, A, at.l, at.u, *sizes, self._settings)
-        self._load(at.numbers.P)
-
-    def _load(self, P: Array | None) -> None:
-        """Pass numbers and point to OSQP, which copies them and factorises; None: the cost is the same as before."""
-        at, solver = self.arrays, self._solver
-        assert solver is not None
-        errors = solver.update_data_mat(P, None, at.A, None), solver.update_data_vec(at.numbers.q, at.l, at.u)
-        if any(errors):
-            raise ArithmeticError(f"OSQP rejects the problem, errors {errors} of matrices and vectors")
-        solver.warm_start(at.x, at.scaled_y)
-
-    def solve(self) -> Result:
-        """Solve the problem (see ``Solver``). It ends after ``max_iterations`` or a few more, never by time."""
-        p, layout, solver = self.problem, self.layout, self._solver
-        assert p is not None, "build() must be called before solve()"
-        if not self._finite or solver is None or layout is None:
-            return self._no_solution(p, "the problem is not finite")
-        at, z = self.arrays, np.zeros(p.h.shape)
+            self._solver = ext_builtin.OSQPSolver(
+                P, at.numbers.q, A, at.l, at.u, layout.rows, layout.variables, settings
+            )
+        solver, z = self._solver, np.zeros(p.h.shape)
+        _load(solver, at, at.numbers.P)
         iterations, batch = 0, 0
         while True:
             length = BATCH * 2 ** max(0, batch - CONSTANT_BATCHES) if batch else FIRST_BATCH
-            self._settings.max_iter, self._settings.eps_abs = min(length, self._max_iterations), self._eps
-            solver.update_settings(self._settings)
+            settings.max_iter = min(length, self._max_iterations)
+            solver.update_settings(settings)
             solver.solve()
             info, solution = solver.info, solver.solution
             status = int(info.status_val)
@@ -273,12 +244,11 @@ class OsqpSolver:
             at.x[:] = solution.x
             if not store_solution(at.x, solution.y, at.scale, at.y, layout.places.column, layout.limit, z, self.duals):
                 self._solver = None
-                return self._no_solution(p, "OSQP returned a value that is not finite; rebuilt")
+                return self._no_solution("OSQP returned a value that is not finite; rebuilt")
             if status == SOLVED or iterations >= self._max_iterations:
                 break
             if rescale(layout.places, at) > 0:
-                self._load(None)
-        self._shift = 0.0
+                _load(solver, at, None)
         report = STATUS.get(status, SolveStatus.FAILED)
         primal, dual, why = float(info.prim_res), float(info.dual_res), ""
         if report is not SolveStatus.SOLVED:
@@ -287,10 +257,18 @@ class OsqpSolver:
         solve = Solve(status=report, iterations=iterations, primal_residual=primal, dual_residual=dual, why=why)
         return Result(z, solve)
 
-    def _no_solution(self, p: Problem, why: str) -> Result:
+    def _no_solution(self, why: str) -> Result:
         """Return no deviation and a report that says why; the warm start is discarded."""
-        self.reset_warm_start()
-        return Result(np.zeros_like(p.h), Solve(status=SolveStatus.NON_FINITE, why=why))
+        self.duals[:] = 0.0
+        return Result(np.zeros_like(self.work.z), Solve(status=SolveStatus.NON_FINITE, why=why))
+
+
+def _load(solver: ext_builtin.OSQPSolver, at: Arrays, P: Array | None) -> None:
+    """Pass numbers and point to OSQP, which copies them and factorises; None: the cost is the same as before."""
+    errors = solver.update_data_mat(P, None, at.A, None), solver.update_data_vec(at.numbers.q, at.l, at.u)
+    if any(errors):
+        raise ArithmeticError(f"OSQP rejects the problem, errors {errors} of matrices and vectors")
+    solver.warm_start(at.x, at.scaled_y)
 
 
 def _csc(pattern: csc_array, data: Array) -> ext_builtin.CSC:
@@ -300,49 +278,31 @@ def _csc(pattern: csc_array, data: Array) -> ext_builtin.CSC:
 
 
 @jit
-def prepare(
-    p: Problem, masks: Masks, places: Places, t: Array, shift: float, work: Sweep, duals: Array, at: Arrays
-) -> tuple[float, float, int]:
+def prepare(p: Problem, places: Places, work: Sweep, duals: Array, at: Arrays) -> tuple[float, float]:
     """Compute the QP of a problem and its first guess, unscaled and with scaled rows.
 
     Parameters
     ----------
-    p : problem.
-    masks, places : of the layout.
-    t : (N+1,) knots in first stages.
-    shift : by how many first stages the last solve's knots were earlier; NaN if there is none to begin with.
-    work : workspace of the sweeps; overwritten.
-    duals : (N+1, M) duals of the limits of the last solve; overwritten with the guess.
+    p : problem, which fits the layout.
+    places : of the layout.
+    work : result of the sweeps (``riccati.solve``).
+    duals : (N+1, M) its duals of the limits.
     at : overwritten.
 
     Returns
     -------
-    ``dual_scale`` of the problem, ``NOT_FINITE`` or ``MISFIT``; largest magnitude of a dual of the dynamics; outcome of
-    ``riccati.solve``.
+    ``dual_scale`` of the problem, or ``NOT_FINITE``; largest magnitude of a dual of the dynamics.
     """
-    if not fits(p, masks):
-        return MISFIT, 0.0, FAILED
     fill(p, places, at.numbers)
-    shooting_grid.shift(duals, t, shift)
-    for i in range(duals.size):
-        if abs(duals.flat[i]) <= NOT_ACTIVE:
-            duals.flat[i] = 0.0
-    kept = duals.copy()
-    outcome = riccati.solve(p, work, riccati.MAX_SWEEPS, duals)[0]
-    if outcome == FAILED:  # otherwise z and g are those of the last sweep
-        for i in range(duals.size):
-            duals.flat[i] = kept.flat[i]
-        roll_out(p, work.z)
-        row_values(p, work.z, work.g)
     costate = np.zeros((p.h.shape[0], p.f.shape[1]))
     costates(p, work.z, duals, costate)
     _guess(p, places, work, duals, costate, at)
     if rescale(places, at) < 0:
-        return NOT_FINITE, 0.0, outcome
+        return NOT_FINITE, 0.0
     largest = 0.0
     for i in range(p.f.size):
         largest = max(largest, abs(at.y[i]))
-    return dual_scale(at.numbers.q, places), largest, outcome
+    return dual_scale(at.numbers.q, places), largest
 
 
 @jit

@@ -37,36 +37,24 @@ class QpsolversBackend:
         config : ``config.solver`` names the backend.
         """
         self._name = config.solver
-        self._problem: Problem | None = None
 
-    def shift_warm_start(self, stages: float) -> None:
-        """Do nothing: there is no warm start.
-
-        Parameters
-        ----------
-        stages : is not used.
-        """
-
-    def reset_warm_start(self) -> None:
-        """Do nothing: there is no warm start."""
-
-    def build(self, problem: Problem) -> None:
-        """Keep the problem (see ``Solver``).
+    def set_up(self, problem: Problem) -> None:
+        """Do nothing: the backend has no workspace.
 
         Parameters
         ----------
-        problem : is read by ``solve``.
+        problem : is not used.
         """
-        self._problem = problem
 
-    def update(self) -> None:
-        """Do nothing: the backend takes the whole problem at once."""
+    def solve(self, problem: Problem, shift: float, *, last: bool = True) -> Result:  # noqa: ARG002
+        """Solve a problem.
 
-    def solve(self) -> Result:
-        """Solve the problem (see ``Solver``)."""
-        assert self._problem is not None, "build() must be called before solve()"
-        solution = solve_qp(sparse_qp(self._problem), self._name)
-        return Result(solution_of(self._problem, solution.x), solution.solve)
+        Parameters
+        ----------
+        problem, shift, last : as in ``Solver``; the problem alone is used.
+        """
+        solution = solve_qp(sparse_qp(problem), self._name)
+        return Result(solution_of(problem, solution.x), solution.solve)
 
 
 def solve_qp(qp: QP, solver: str = "osqp") -> Solution:

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import contextlib
 
-from ltv_mpc.control.config import STAGE_NS, ControllerConfig
+from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.failed_qp import NamedQp, row_names
-from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.ocp.assembly import scales
 from ltv_mpc.control.ocp.problem import Problem
 from ltv_mpc.control.solvers import SolverFactory, make
 from ltv_mpc.control.solvers.interface import Result, Solver
 from ltv_mpc.control.solvers.sparse import SparseLayout
-from ltv_mpc.messages import SolveStatus
+from ltv_mpc.messages import Array, SolveStatus
 from ltv_mpc.vehicle.parameters import Vehicle
 
 
@@ -28,24 +27,17 @@ class RecordingSolver:
     def __init__(self, solver: Solver) -> None:
         """Wrap ``solver``."""
         self.solver = solver
-        self.shift_warm_start = solver.shift_warm_start
-        self.reset_warm_start = solver.reset_warm_start
-        self.update = solver.update
-        self.draft = getattr(solver, "draft", None)
+        self.set_up = solver.set_up
 
-    def build(self, problem: Problem) -> None:
-        """Keep the problem.
+    def solve(self, problem: Problem, shift: float, *, last: bool = True) -> Result:
+        """Keep the problem and its solution, and return that.
 
         Parameters
         ----------
-        problem : as in ``Solver.build``.
+        problem, shift, last : as in ``Solver``.
         """
         self.problem = problem
-        self.solver.build(problem)
-
-    def solve(self) -> Result:
-        """Keep the solution, and return it."""
-        self.result = self.solver.solve()
+        self.result = self.solver.solve(problem, shift, last=last)
         return self.result
 
 
@@ -61,10 +53,7 @@ class QpRecorder:
 
     def __call__(self, vehicle: Vehicle, config: ControllerConfig) -> Solver:
         """Return a solver for these settings."""
-        limits = HorizonLimits.from_vehicle(vehicle, STAGE_NS * 1e-9)
-        solver = _NamingSolver(self._make_solver(vehicle, config))
-        solver.recorder, solver.limits = self, limits
-        return solver
+        return _NamingSolver(self._make_solver(vehicle, config), self, scales(vehicle))
 
     def newest(self) -> NamedQp | None:
         """Return the QP that was solved last, with the names of its rows: until the next cycle that of the plan.
@@ -89,17 +78,18 @@ class QpRecorder:
 class _NamingSolver(RecordingSolver):
     """Solver wrapper that reports each solve to its recorder."""
 
-    recorder: QpRecorder
-    limits: HorizonLimits
+    def __init__(self, solver: Solver, recorder: QpRecorder, scale: Array) -> None:
+        super().__init__(solver)
+        self._recorder, self._scale = recorder, scale
 
-    def solve(self) -> Result:
+    def solve(self, problem: Problem, shift: float, *, last: bool = True) -> Result:
         """Solve, and report it."""
-        result = super().solve()
-        self.recorder.add(self)
+        result = super().solve(problem, shift, last=last)
+        self._recorder.add(self)
         return result
 
     def named(self) -> NamedQp:
         """Return the last problem as a QP with the names of its rows."""
         layout = SparseLayout(self.problem)
         qp = layout.assemble(layout.filled(self.problem))
-        return NamedQp(qp, row_names(layout, scales(self.limits)), self.result.solve)
+        return NamedQp(qp, row_names(layout, self._scale), self.result.solve)

@@ -22,11 +22,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy.sparse import coo_array, csc_array
 
-from ltv_mpc.control.config import STAGE_NS, Weights
-from ltv_mpc.control.horizon_limits import HorizonLimits
+from ltv_mpc.control.config import Weights
 from ltv_mpc.control.linearisation import linearise
 from ltv_mpc.control.ocp.assembly import problem_along
 from ltv_mpc.control.ocp.problem import Problem
+from ltv_mpc.control.problem_data import STAGE_S, Constants
 from ltv_mpc.control.qp import QP
 from ltv_mpc.control.scaling import default_weights
 from ltv_mpc.jit import jit
@@ -191,11 +191,9 @@ def build_qp(
     The QP in scaled deviations from X and U; the head of ``ltv_mpc/control/solvers/sparse.py`` lists its rows and
     columns, that of ``ltv_mpc/control/ocp/assembly.py`` the numbers of a stage.
     """
-    stage_s = STAGE_NS * 1e-9
-    lin = linearise(X, U, current, stage_s, vehicle.coefficients())
-    limits, knots = HorizonLimits.from_vehicle(vehicle, stage_s), np.arange(float(len(U)))
-    target = np.vstack([reference, end_velocity_mps])
-    return sparse_qp(problem_along(lin, target, knots, limits, weights or default_weights(vehicle)))
+    lin = linearise(X, U, current, STAGE_S, vehicle.coefficients())
+    constants = Constants.of(vehicle, weights or default_weights(vehicle), np.arange(float(len(U))))
+    return sparse_qp(problem_along(lin, np.vstack([reference, end_velocity_mps]), constants))
 
 
 def solution_of(p: Problem, x: Array) -> Array:

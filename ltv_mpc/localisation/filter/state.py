@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ltv_mpc.currents import grid_depths
 from ltv_mpc.frames import rotation_exp, skew
 from ltv_mpc.localisation.adaptive.failure_signatures import FailureSignatures
 from ltv_mpc.localisation.config import EstimatorConfig
@@ -99,9 +100,7 @@ class Layout:
 
 def grid(config: EstimatorConfig) -> Array:
     """Return the depths of the grid points (m), (G,): 0, h, 2h, ... to the first multiple of h >= ``deepest_m``."""
-    cells = int(np.ceil(config.deepest_m / config.cell_m - 1e-9)) + 1
-    depths: Array = config.cell_m * np.arange(cells, dtype=np.float64)
-    return depths
+    return grid_depths(config.deepest_m, config.cell_m)
 
 
 def reach_m(adcp: Adcp) -> tuple[float, float]:

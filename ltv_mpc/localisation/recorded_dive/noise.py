@@ -5,8 +5,8 @@
 does not depend on a flow that all beams share; with independent noise sd(e) = 2 sigma. For each cell, sigma is taken
 from the central 90 % of e over the dive (half their width / 1.645): the gate handles outliers beyond, and a bias of e
 is no noise. A cell with fewer than 30 samples takes sigma of the cell before it, the first cell that of all cells.
-With fewer than 30 samples in all, sigma is twice the data sheet's; so it is where e is constant: an error velocity that
-a program has filled in. No cell's sigma is below the data sheet's:
+With fewer than 30 samples in all, sigma is twice the data sheet's; so it is where 90 % of e are constant: an error
+velocity that a program has filled in. No cell's sigma is below the data sheet's:
     sigma = 1.94 cm/s (1200 kHz / f) (1 m / cell) / sqrt(pings)
 (WorkHorse 1200 kHz, 1 m cells, at rest; the noise of a ping is proportional to 1 / (bandwidth x pulse length)).
 A cell with a share g of good pings has sigma / sqrt(g).
@@ -90,7 +90,6 @@ def beam_sd(ensembles: Sequence[BeamEnsemble], min_good_share: float) -> Array:
 
 
 def _sd(e: Array) -> float | None:
-    """Return sigma of one beam from samples of e, or None if there are too few."""
-    if len(e) < MIN_SAMPLES or np.ptp(e) < RESOLUTION_MPS:
-        return None
-    return float(np.quantile(np.abs(e - np.median(e)), 0.9)) / 1.645 / 2
+    """Return sigma of one beam from samples of e, or None if there are too few that differ."""
+    width = float(np.quantile(np.abs(e - np.median(e)), 0.9)) if len(e) >= MIN_SAMPLES else 0.0
+    return width / 1.645 / 2 if width >= RESOLUTION_MPS else None

@@ -56,6 +56,12 @@ class Adcp(SensorSettings, frozen=True, kw_only=True):
     mounting_rad: Angles = (0.0, 0.0, 0.0)  # nominal roll, pitch, yaw of its axes in the body's
     latency_ns: Latency = 0
 
+    @property
+    def cell_ranges_m(self) -> Array:
+        """Ranges of the middles of the cells along a beam (m), (K,)."""
+        cells = math.floor((self.range_m - self.blanking_m) / self.cell_m + 1e-9)
+        return self.blanking_m + (np.arange(cells, dtype=np.float64) + 0.5) * self.cell_m
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LinearisedPing(Linearised):
@@ -143,8 +149,7 @@ def _cross(a: Array, b: Array) -> Array:
 
 
 def _at_rest(t_ns: int, adcp: Adcp) -> AdcpPing:
-    cells = max(1.0, (adcp.range_m - adcp.blanking_m) // adcp.cell_m)
-    range_m = adcp.blanking_m + adcp.cell_m * np.arange(0.5, cells)
+    range_m = adcp.cell_ranges_m
     return AdcpPing(t_ns=t_ns, range_m=range_m, beam_velocity_mps=np.full((4, len(range_m)), 1e-15 * t_ns))
 
 

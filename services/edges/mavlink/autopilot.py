@@ -49,6 +49,8 @@ class Autopilot:
         self._seen_us = self.heard_us = self._station_us = -(10**12)
         self.channel = ""
         """Channel of its newest frame that was accepted, at ``heard_us``: the autopilot is answered there."""
+        self.rival: str | None = ""
+        """Another sender in its name, which is asked too; None once the channel has answered a request."""
         self.system = 0  # system number of the autopilot; 0: none yet
         self.component = 0
         self.kind: Kind | None = None
@@ -56,14 +58,20 @@ class Autopilot:
         self.mode = -1
         self.failsafe = False
 
-    def check_channel(self, channel: str, now_us: int, *, signed: bool) -> None:
+    def check_channel(self, channel: str, now_us: int, *, signed: bool, answers: bool) -> None:
         """Raise ``Refused`` for a frame of the autopilot on another channel than before.
 
         Anybody can send one that is not ``signed``. It is accepted once the present channel has been silent for
-        ``TIMEOUT_US``.
+        ``TIMEOUT_US``, or if it ``answers`` a request, which the present channel never has: a stranger that was there
+        first, and only sends.
         """
-        if channel != self.channel and not signed and now_us <= self.heard_us + TIMEOUT_US:
-            raise Refused(f"second sender for autopilot {self.system}: {channel} beside {self.channel}")
+        if channel != self.channel:
+            if not (signed or now_us > self.heard_us + TIMEOUT_US or (answers and self.rival is not None)):
+                self.rival = None if self.rival is None else channel
+                raise Refused(f"second sender for autopilot {self.system}: {channel} beside {self.channel}")
+            self.rival = ""
+        if answers:
+            self.rival = None
 
     def heartbeat(self, message: Any, now_us: int) -> None:
         """Take a heartbeat. Raises ``Refused`` for an autopilot that cannot be driven."""

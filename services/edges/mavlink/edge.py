@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterable, Iterator
 from typing import Any
 from zlib import crc32
@@ -39,6 +40,7 @@ OF_MISSION = ("GPS_GLOBAL_ORIGIN", "MISSION_COUNT", "MISSION_ITEM_INT", "MISSION
 
 SECOND_US = 1_000_000
 SILENT_US = 3_000_000
+REQUESTS = 2  # of the time, unanswered, after which another sender is asked too
 SET_MESSAGE_INTERVAL = 511
 ONBOARD_CONTROLLER, NO_AUTOPILOT, ACTIVE = 18, 8, 4
 RELEASES = 5
@@ -77,6 +79,7 @@ class MavlinkEdge(Edge):
         self._numbers = LossCounter(256)
         self._seen_us: dict[str, int] = {}
         self._asked_us = -SECOND_US
+        self._requests_ns: deque[int] = deque(maxlen=REQUESTS)  # times of the newest, which an answer repeats
         self._told = ""
         self._reported = (0, 0)  # restarts and resets
 
@@ -100,11 +103,15 @@ class MavlinkEdge(Edge):
         message = self._codec.decode(frame.payload)
         kind = message.get_type()
         if self.autopilot.is_from(message):  # of the others not all frames come this way
-            self.autopilot.check_channel(frame.channel, frame.now_us, signed=self._codec.signs)
+            answers = kind == "TIMESYNC" and message.tc1 != 0 and message.ts1 in self._requests_ns
+            self.autopilot.check_channel(frame.channel, frame.now_us, signed=self._codec.signs, answers=answers)
             self._numbers.add(message.get_srcSystem(), message.get_seq())
             self.lost = self._numbers.lost
         if kind == "HEARTBEAT":
+            known = self.autopilot.kind is not None
             self.autopilot.heartbeat(message, frame.now_us)
+            if not known:
+                self._asked_us = -SECOND_US  # its messages are asked for at once
         elif self.autopilot.is_from(message) and self._is_mine(message):
             self._seen_us[kind] = frame.now_us
             yield from self._take_in(kind, message, frame.now_us)
@@ -180,7 +187,11 @@ class MavlinkEdge(Edge):
             yield self._send(self._codec.make.heartbeat_encode(ONBOARD_CONTROLLER, NO_AUTOPILOT, 0, 0, ACTIVE))
         if self.autopilot.kind is None:
             return
-        yield self._send(self._codec.make.timesync_encode(0, now_us * 1000))
+        request = self._codec.make.timesync_encode(0, now_us * 1000)
+        if self.autopilot.rival and len(self._requests_ns) == REQUESTS:
+            yield self._send(request)._replace(channel=self.autopilot.rival)
+        yield self._send(request)
+        self._requests_ns.append(now_us * 1000)
         yield from self._mission.commands(self.command_id)
         for name, (number, interval_us) in INTERVALS_US.items():
             if now_us > self._seen_us.get(name, -SILENT_US) + SILENT_US - SECOND_US:

@@ -20,13 +20,10 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 from msgspec import structs
-from scipy.linalg import block_diag
 
-from ltv_mpc import frames
-from ltv_mpc.frames import wrap_angle
 from ltv_mpc.messages import Array, Estimate
 from services.edges.edge import Refused
-from services.edges.pose import covariance, rotation
+from services.edges.pose import covariance, rotation, wrapped
 
 MS = 1_000_000  # ns
 MAX_WAIT_MS = 500
@@ -100,12 +97,12 @@ class Navigation:
         if abs(pitch) > 1.4:
             raise Refused(f"pitch = {pitch:.2f} rad: the heading is not defined")
         rate = (q * math.sin(roll) + r * math.cos(roll)) / math.cos(pitch)
-        sample = _Attitude(message.time_boot_ms, wrap_angle(yaw), rate)
+        sample = _Attitude(message.time_boot_ms, wrapped(yaw), rate)
         if self._attitudes and not self._in_order(sample.ms, self._attitudes[-1].ms):
             return iter(())
         if self._attitudes:
             last = self._attitudes[-1]
-            turned = wrap_angle(sample.heading_rad - last.heading_rad - last.rate_radps * (sample.ms - last.ms) * 1e-3)
+            turned = wrapped(sample.heading_rad - last.heading_rad - last.rate_radps * (sample.ms - last.ms) * 1e-3)
             if sample.ms - last.ms < GAP_MS and abs(turned) > TURN_RAD:
                 self._reset()
         self._attitudes.append(sample)
@@ -159,7 +156,9 @@ class Navigation:
         if pose is not None or twist is not None:
             assumed_pose, assumed_twist = self._accuracy.pose_and_twist
             if pose is not None:  # roll and pitch are small, and about axes that have the heading
-                turn = block_diag(np.eye(3), frames.rotation(0.0, 0.0, heading))
+                turn = np.eye(6)
+                cos, sin = math.cos(heading), math.sin(heading)
+                turn[3:5, 3:5] = (cos, -sin), (sin, cos)
                 pose = turn @ pose @ turn.T
             P = covariance(
                 R, velocity, rates, assumed_pose if pose is None else pose, assumed_twist if twist is None else twist
@@ -220,7 +219,7 @@ class Navigation:
 def _between(a: _Attitude, b: _Attitude, ms: int) -> _Attitude:
     """Return the attitude at a time between two samples."""
     s = (ms - a.ms) / (b.ms - a.ms) if b.ms > a.ms else 0.0
-    heading = wrap_angle(a.heading_rad + s * wrap_angle(b.heading_rad - a.heading_rad))
+    heading = wrapped(a.heading_rad + s * wrapped(b.heading_rad - a.heading_rad))
     return _Attitude(ms, heading, a.rate_radps + s * (b.rate_radps - a.rate_radps))
 
 

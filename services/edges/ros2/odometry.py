@@ -20,10 +20,9 @@ from typing import Any
 
 import numpy as np
 
-from ltv_mpc.frames import wrap_angle
 from ltv_mpc.messages import Array, CurrentProfile, Estimate
 from services.edges.edge import MAX_STAMP_NS, Refused
-from services.edges.pose import covariance, rotation
+from services.edges.pose import covariance, rotation, wrapped
 
 OTHER_CONVENTIONS = ("ned", "frd")
 """Suffixes by which REP 103 marks frames that are not ENU or FLU, as in ``odom_ned``."""
@@ -61,7 +60,7 @@ def estimate_of(message: Any, current: CurrentProfile | None = None) -> Estimate
         north_m=float(position[1]),
         east_m=float(position[0]),
         depth_m=float(-position[2]),
-        heading_rad=wrap_angle(math.pi / 2.0 - math.atan2(R[1, 0], R[0, 0])),
+        heading_rad=wrapped(math.pi / 2.0 - math.atan2(R[1, 0], R[0, 0])),
         yaw_rate_radps=float(-rate[2]),
         velocity_north_mps=float(velocity[1]),
         velocity_east_mps=float(velocity[0]),

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from services.reporting.plots import palette
-from services.reporting.plots.collector import INNOVATIONS, NIS
+from services.reporting.plots.collector import HISTORY, INNOVATIONS, NIS
 from services.reporting.plots.delays import STAGES as ROWS_OF_STAGES
 from services.reporting.plots.description import Axis, Group, Level, Plot, Series, Style
 from services.reporting.plots.vehicle_from_above import CURRENT_MPS
@@ -67,39 +69,24 @@ TRACK = Plot(
 )
 
 
-def _over_time(axis: str, colour: str) -> Plot:
-    """Return the plot of the position along ``axis``, north or east."""
-    name = f"{axis}_m"
-    return Plot(
-        name=axis,
-        title=f"{axis.capitalize()} over time",
-        y=Axis(f"{axis} (m)", min_span=0.1),
-        group=Group.LINE,
-        drifts=True,
-        note=SHIFTED,
-        series=(
-            Series("reference", "reference", "t_s", name, palette.REFERENCE, Style.DOTTED),
-            Series("true", "truth", "t_s", name, palette.TRUTH, compared=True),
-            Series("estimate", "track", "t_s", name, colour, Style.DASHED, compared=True),
-        ),
-    )
+def _motion(column: str, title: str, y: Axis, colour: str = palette.ESTIMATE, **more: Any) -> Plot:
+    """Return the plot of one column of the motion over time: true, estimate, and the reference, or else the plan."""
+    true = Series("true", "truth", "t_s", column, palette.TRUTH, compared=True)
+    compared = colour != palette.ESTIMATE
+    estimate = Series("estimate", "track", "t_s", column, colour, Style.DASHED, compared=compared)
+    series = true, estimate, Series("planned", "ahead", "t_s", column, palette.PLAN, Style.DASHED)
+    if column in HISTORY["reference"]:
+        series = Series("reference", "reference", "t_s", column, palette.REFERENCE, Style.DOTTED), true, estimate
+    return Plot(name=column.rpartition("_")[0], title=title, y=y, series=series, **more)
 
 
-NORTH = _over_time("north", palette.NORTH)
-EAST = _over_time("east", palette.EAST)
+_SHIFTED = {"drifts": True, "note": SHIFTED}
 
-DEPTH = Plot(
-    name="depth",
-    title="Depth",
-    y=Axis("depth (m)", downwards=True, min_span=1.0),
-    group=Group.LINE,
-    diving=True,
-    series=(
-        Series("reference", "reference", "t_s", "depth_m", palette.REFERENCE, Style.DOTTED),
-        Series("true", "truth", "t_s", "depth_m", palette.TRUTH, compared=True),
-        Series("estimate", "track", "t_s", "depth_m", palette.ESTIMATE, Style.DASHED),
-    ),
+NORTH = _motion(
+    "north_m", "North over time", Axis("north (m)", min_span=0.1), palette.NORTH, group=Group.LINE, **_SHIFTED
 )
+EAST = _motion("east_m", "East over time", Axis("east (m)", min_span=0.1), palette.EAST, group=Group.LINE, **_SHIFTED)
+DEPTH = _motion("depth_m", "Depth", Axis("depth (m)", downwards=True, min_span=1.0), group=Group.LINE, diving=True)
 
 ERRORS = Plot(
     name="errors",
@@ -170,32 +157,22 @@ VERTICAL = Plot(
     levels=_limits("limits", "vertical_min_N", "vertical_max_N"),
 )
 
-HEADING = Plot(
-    name="heading",
-    title="Heading",
-    y=Axis("heading, unwrapped (deg)", min_span=5.0),
+HEADING = _motion(
+    "heading_deg",
+    "Heading",
+    Axis("heading, unwrapped (deg)", min_span=5.0),
     group=Group.LINE,
     note="The heading counts on beyond 180°. The reference of an underactuated vehicle has no heading: the controller "
     "plans one.",
-    series=(
-        Series("true", "truth", "t_s", "heading_deg", palette.TRUTH, compared=True),
-        Series("estimate", "track", "t_s", "heading_deg", palette.ESTIMATE, Style.DASHED),
-        Series("planned", "ahead", "t_s", "heading_deg", palette.PLAN, Style.DASHED),
-    ),
 )
 
-YAW_RATE = Plot(
-    name="yaw_rate",
-    title="Yaw rate",
-    y=Axis("yaw rate (deg/s)", min_span=1.0),
+YAW_RATE = _motion(
+    "yaw_rate_dps",
+    "Yaw rate",
+    Axis("yaw rate (deg/s)", min_span=1.0),
     note="Positive to starboard. There is no reference: the thrusters that turn the vehicle also drive it, so the "
     "controller plans the yaw rate. The estimate is the reading of the gyro without its bias, so it has the noise of "
     "the gyro. Points are 0.2 s apart or more, so oscillations above 2 Hz do not show.",
-    series=(
-        Series("true", "truth", "t_s", "yaw_rate_dps", palette.TRUTH, compared=True),
-        Series("estimate", "track", "t_s", "yaw_rate_dps", palette.ESTIMATE, Style.DASHED),
-        Series("planned", "ahead", "t_s", "yaw_rate_dps", palette.PLAN, Style.DASHED),
-    ),
 )
 
 NIS_BY_SENSOR = Plot(

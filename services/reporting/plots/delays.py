@@ -11,7 +11,7 @@ from services.reporting.plots.table import Columns, Table, short
 PARTS = {
     "predict": ("read", "predict"),
     "linearise": ("linearise",),
-    "build": ("build", "update"),
+    "build": ("build",),
     "solve": ("solve",),
     "publish": ("publish",),
 }

@@ -8,7 +8,6 @@ import msgspec
 
 from ltv_mpc.messages import (
     Acknowledgement,
-    Authority,
     Command,
     FilterStatus,
     Health,
@@ -16,7 +15,6 @@ from ltv_mpc.messages import (
     Message,
     NodeStatus,
     Plan,
-    PlanOrigin,
     RunEvent,
     Truth,
 )
@@ -41,10 +39,7 @@ class Marks:
         self._seconds = seconds
         self.marks: list[Mark] = []
         self.omitted = 0
-        self._authority: Authority | None = None
-        self._health = (Health.NOMINAL, "")
-        self._origin: PlanOrigin | None = None
-        self._filter = FilterStatus.NOMINAL
+        self._states = {"health": Health.NOMINAL.value, "filter": FilterStatus.NOMINAL.value}
         self._epochs: dict[str, int] = {}
         self._commands: dict[int, tuple[Command, int]] = {}  # with the epoch of the sender, by identifier
         self._simulator: int | None = None  # epoch of the simulated vehicle
@@ -57,9 +52,8 @@ class Marks:
                 self._append(message.t_ns, message.node, message.text)
             case Plan():
                 self._add_plan(message)
-            case LocalisationReport() if message.status is not self._filter:
-                self._append(message.t_ns, "estimator", f"filter: {message.status.value}{_because(message.why)}")
-                self._filter = message.status
+            case LocalisationReport():
+                self._add_state(message.t_ns, "estimator", "filter", message.status.value, message.why)
             case Command():
                 self._commands[message.command_id] = message, epoch
             case Truth():
@@ -74,15 +68,16 @@ class Marks:
 
     def _add_plan(self, plan: Plan) -> None:
         self._newest_ns = plan.cycle_t_ns
-        if self._authority not in (None, plan.authority):
-            self._append(plan.cycle_t_ns, "controller", f"command authority: {plan.authority.value}")
-        self._authority = plan.authority
-        if (plan.health, plan.health_why) != self._health:
-            self._append(plan.cycle_t_ns, "controller", f"health: {plan.health.value}{_because(plan.health_why)}")
-            self._health = plan.health, plan.health_why
-        if plan.origin is not self._origin and self._origin is not None:
-            self._append(plan.cycle_t_ns, "controller", f"plan origin: {plan.origin.value}{_because(plan.why)}")
-        self._origin = plan.origin
+        health = f"{plan.health.value}{_because(plan.health_why)}"
+        self._add_state(plan.cycle_t_ns, "controller", "command authority", plan.authority.value)
+        self._add_state(plan.cycle_t_ns, "controller", "health", health)
+        self._add_state(plan.cycle_t_ns, "controller", "plan origin", plan.origin.value, plan.why)
+
+    def _add_state(self, t_ns: int, node: str, what: str, state: str, why: str = "") -> None:
+        """Add a mark if the state has changed; a first state is one only of health or filter that is not nominal."""
+        if self._states.get(what, state) != state:
+            self._append(t_ns, node, f"{what}: {state}{_because(why)}")
+        self._states[what] = state
 
     def _add_acknowledgement(self, answer: Acknowledgement) -> None:
         command, epoch = self._commands.pop(answer.command_id, (None, None))

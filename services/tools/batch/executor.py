@@ -13,9 +13,8 @@ import time
 import traceback
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, wait
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from multiprocessing.connection import Connection
-from multiprocessing.connection import wait as wait_for_any
 from multiprocessing.context import SpawnProcess
 from typing import Any, TypeVar
 
@@ -79,20 +78,19 @@ def run_each(
                 return
             yield place, work(job)
         return
-    waiting, losses, running = deque(range(len(jobs))), Counter[int](), 0
+    waiting, losses, running = deque(range(len(jobs))), Counter[int](), dict[Future[R], int]()
     pool = _Processes(work, count) if cluster is None else _Cluster(work, cluster)
     with contextlib.closing(pool):
         while (waiting or running) and not stop():
-            while waiting and running < pool.places:
+            while waiting and len(running) < pool.places:
                 place = waiting.popleft()
-                pool.give(place, jobs[place])
-                running += 1
-            for place, error, result in pool.ended():
-                running -= 1
+                running[pool.submit(jobs[place])] = place
+            for future in wait(running, timeout=POLL_S, return_when=FIRST_COMPLETED).done:
+                place, error = running.pop(future), future.exception()
                 if error is None:
-                    yield place, result
+                    yield place, future.result()
                     continue
-                if not isinstance(error, WorkerLost):
+                if not isinstance(error, pool.losses):
                     raise error
                 losses[place] += 1
                 if losses[place] < MAX_LOSSES:
@@ -104,56 +102,52 @@ def run_each(
 
 
 class _Processes:
-    """Processes of this machine, each with a pipe, which always end with this process."""
+    """Processes of this machine, each with a pipe and a thread that waits at it. They always end with this process."""
+
+    losses: tuple[type[BaseException], ...] = (WorkerLost,)
 
     def __init__(self, work: Callable[[Any], Any], count: int) -> None:
         self.places = count
         self._work = work
-        self._idle: list[tuple[Connection, SpawnProcess]] = []
-        self._busy: dict[Connection, tuple[int, SpawnProcess]] = {}
+        self._threads = ThreadPoolExecutor(count)
+        self._idle: list[Connection] = []
+        self._all: dict[Connection, SpawnProcess] = {}
 
-    def give(self, place: int, job: Any) -> None:
+    def submit(self, job: Any) -> Future[Any]:
         """Have a process do a job; there are never more jobs than ``places``."""
-        pipe, process = self._idle.pop() if self._idle else self._start()
-        with contextlib.suppress(BrokenPipeError):  # it is lost: ``ended`` notices
-            pipe.send(job)
-        self._busy[pipe] = place, process
-
-    def ended(self) -> Iterator[tuple[int, BaseException | None, Any]]:
-        """Yield index, error and result of the jobs that have ended within ``POLL_S``."""
-        for pipe in wait_for_any(list(self._busy), POLL_S):
-            assert isinstance(pipe, Connection)
-            place, process = self._busy.pop(pipe)
-            try:
-                error, result = pipe.recv()
-            except (EOFError, ConnectionResetError):
-                pipe.close()
-                process.join()
-                error, result = WorkerLost(), None
-            else:
-                self._idle.append((pipe, process))
-            yield place, error, result
+        return self._threads.submit(self._do, self._idle.pop() if self._idle else self._start(), job)
 
     def close(self) -> None:
         """Return when no process is left."""
-        for pipe, _ in self._idle:
-            pipe.close()
-        for _, process in self._busy.values():
+        for process in self._all.values():
             process.terminate()
         until = time.monotonic() + TERM_S
-        for process in [process for _, process in (*self._idle, *self._busy.values())]:
+        for process in self._all.values():
             process.join(max(until - time.monotonic(), 0.0))
             process.kill()
             process.join()
+        self._threads.shutdown()
 
-    def _start(self) -> tuple[Connection, SpawnProcess]:
+    def _do(self, pipe: Connection, job: Any) -> Any:
+        try:
+            pipe.send(job)
+            error, result = pipe.recv()
+        except (EOFError, ConnectionError):
+            pipe.close()
+            raise WorkerLost from None
+        self._idle.append(pipe)
+        if error is not None:
+            raise error
+        return result
+
+    def _start(self) -> Connection:
         # spawn: a forked child would inherit threads of BLAS and of a bus session
         context = multiprocessing.get_context("spawn")
         pipe, theirs = context.Pipe()
-        process = context.Process(target=_serve, args=(theirs, self._work, os.getpid()), daemon=True)
-        process.start()
+        self._all[pipe] = context.Process(target=_serve, args=(theirs, self._work, os.getpid()), daemon=True)
+        self._all[pipe].start()
         theirs.close()
-        return pipe, process
+        return pipe
 
 
 def _serve(pipe: Connection, work: Callable[[Any], Any], parent: int) -> None:
@@ -175,7 +169,7 @@ class _Cluster:
 
     def __init__(self, work: Callable[[Any], Any], address: str) -> None:
         """Connect, and wait for a first worker. Raises ``ConfigError``."""
-        from distributed import Client
+        from distributed import CancelledError, Client, KilledWorker
 
         try:
             self._client = Client(address, timeout=f"{CLUSTER_TIMEOUT_S:g}s", set_as_default=False)
@@ -183,22 +177,15 @@ class _Cluster:
         except (OSError, ValueError) as error:
             raise ConfigError("option --cluster", "", one_line(str(error)), value=address) from None
         workers = self._client.scheduler_info(n_workers=-1)["workers"].values()
+        self.losses = KilledWorker, CancelledError
         self.places = AHEAD * sum(info["nthreads"] for info in workers)
         self._work = work
         # Not pure: the same settings are not taken for the same result by the scheduler's memory.
         self._executor = self._client.get_executor(pure=False)
-        self._running: dict[Future[Any], int] = {}
 
-    def give(self, place: int, job: Any) -> None:
-        self._running[self._executor.submit(self._work, job)] = place
-
-    def ended(self) -> Iterator[tuple[int, BaseException | None, Any]]:
-        from distributed import CancelledError, KilledWorker
-
-        for future in wait(self._running, timeout=POLL_S, return_when=FIRST_COMPLETED).done:
-            place, error = self._running.pop(future), future.exception()
-            lost = isinstance(error, KilledWorker | CancelledError)
-            yield place, WorkerLost() if lost else error, None if error else future.result()
+    def submit(self, job: Any) -> Future[Any]:
+        future: Future[Any] = self._executor.submit(self._work, job)
+        return future
 
     def close(self) -> None:
         """Cancel what has not ended."""

@@ -16,17 +16,14 @@ from contextlib import contextmanager
 from functools import partial
 from itertools import islice
 from pathlib import Path
-from typing import Any, BinaryIO, TypeVar, get_args
+from typing import Any, BinaryIO
 
 import msgspec
-import numpy as np
 
 from ltv_mpc.config import open_file
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.settings_schema import flat
 from services.run import folder as run_folder
-
-R = TypeVar("R")
 
 NAME = "results.jsonl"
 MAX_DIFFERENCES = 3
@@ -44,13 +41,13 @@ class ResultsStore:
         self._file = file
 
     def append(self, key: str, result: Any) -> None:
-        """Write a result: a struct, tuple, table or array, or several in each other."""
-        self._file.write(_line({"key": key, "result": msgspec.to_builtins(result, enc_hook=_to_list)}))
+        """Write a result: a struct, tuple or table, or several in each other."""
+        self._file.write(_line({"key": key, "result": msgspec.to_builtins(result)}))
         self._file.flush()
         self.keys.add(key)
 
     def results(self) -> Iterator[tuple[str, Any]]:
-        """Read all results so far, as plain values (``decode`` makes more of them), in the order of their ends."""
+        """Read all results so far, as plain values, in the order of their ends."""
         return read(self.path)[1]
 
 
@@ -102,11 +99,6 @@ def read(path: Path) -> tuple[dict[str, Any], Iterator[tuple[str, Any]]]:
     return settings, _results(path)
 
 
-def decode(plain: Any, kind: type[R]) -> R:
-    """Convert a result that ``ResultsStore.results`` has read to type ``kind``."""
-    return msgspec.convert(plain, kind, dec_hook=_to_array)
-
-
 def _results(path: Path) -> Iterator[tuple[str, Any]]:
     with open_file(path, what="results") as file:
         for number, line in enumerate(islice(iter(partial(file.readline, MAX_LINE), b""), 1, None), 2):
@@ -122,16 +114,6 @@ def _results(path: Path) -> Iterator[tuple[str, Any]]:
 def _line(value: object) -> bytes:
     # json, not msgspec, which writes numbers that are not finite as null
     return json.dumps(value, separators=(",", ":")).encode() + b"\n"
-
-
-def _to_list(value: Any) -> Any:
-    if isinstance(value, np.ndarray | np.generic):
-        return value.tolist()
-    raise NotImplementedError(f"a {type(value).__name__} is not a result")
-
-
-def _to_array(kind: Any, value: Any) -> Any:
-    return np.array(value, dtype=get_args(get_args(kind)[1])[0])
 
 
 def _differences(there: Mapping[str, Any], here: Mapping[str, Any]) -> list[str]:

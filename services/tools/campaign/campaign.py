@@ -19,6 +19,7 @@ import msgspec
 import tomli_w
 
 from ltv_mpc.errors import ConfigError
+from services.run.folder import write_files
 from services.run.provenance import provenance_table
 from services.run.run_config import SCENARIO, resolve, scenario_text
 from services.tools.batch import results_store
@@ -100,10 +101,7 @@ def _try(made: PreparedCampaign, point: Point, field: str, source: str) -> None:
 def open_campaign(folder: Path, made: PreparedCampaign, *, force: bool = False) -> Iterator[ResultsStore]:
     """Open the campaign's folder, new or existing, for this process alone. Raises ``ConfigError``."""
     with results_store.open_store(folder, msgspec.to_builtins(made), force=force) as store:
-        for name, content in made.base:
-            path = folder / BASE / name
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(content, encoding="utf-8")
+        write_files(folder / BASE, dict(made.base))
         described = {**msgspec.to_builtins(made.campaign), "made_by": made.made_by}
         (folder / FILE).write_text(tomli_w.dumps(described), encoding="utf-8")
         yield store

@@ -29,6 +29,7 @@ from ltv_mpc.messages import PlanOrigin, SolveStatus
 from ltv_mpc.references import Reference
 from ltv_mpc.settings_schema import flat
 from ltv_mpc.vehicle.parameters import Vehicle
+from services.run.folder import write_files
 from services.run.provenance import provenance_table
 from services.run.run_config import Override, RunConfig, resolve
 from services.tools import lockstep_run
@@ -152,8 +153,5 @@ def _folder(base: Base) -> Path:
     """Write the base's files into a temporary folder, which exists until this process ends."""
     folder = Path(tempfile.mkdtemp(prefix="ltv-mpc-campaign-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    for name, text in base:
-        path = folder / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8")
+    write_files(folder, dict(base))
     return folder

@@ -20,91 +20,54 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
-import piqp
-from scipy.sparse import csc_matrix
 
 from ltv_mpc.control.config import ControllerConfig, ResolvedConfig
 from ltv_mpc.control.controller import Controller
-from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.control.ocp.problem import Problem
 from ltv_mpc.control.problem_data import CHANGES, COMMANDS
+from ltv_mpc.control.scaling import thrust_scale
 from ltv_mpc.control.solvers import Solver, SolverFactory, make
 from ltv_mpc.control.solvers.recorder import RecordingSolver
-from ltv_mpc.control.solvers.sparse import solution_of, sparse_qp
 from ltv_mpc.messages import Array, Estimate, Plan, SolveStatus
-from ltv_mpc.node import Stopwatch, no_stopwatch
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.runtime.stage_timer import StageTimer
 from services.tools.profile.piqp_yardstick import PiqpYardstick
-from services.tools.profile.problems import Episode, length_s, seconds
+from services.tools.profile.problems import Episode, length_s
 
-STAGES = ("predict", "linearise", "build", "update", "solve", "read")
+STAGES = ("predict", "linearise", "build", "solve", "read")
 
 EXACT = 1e-10
-"""Absolute tolerance of the solution that thrusts are compared with: four orders below what is compared."""
+"""Tolerance of the solution that thrusts are compared with: four orders below what is compared."""
 
 
 FLUSH_BYTES = 1 << 26
 """Memory that is written to flush the caches: more than the last cache of a core's share."""
 
 
-class Candidate(Protocol):
-    """Solver to be measured."""
-
-    def config(self, episode: Episode) -> ResolvedConfig:
-        """Return the controller's settings in an episode."""
-        ...
-
-    def solver_factory(self, episode: Episode) -> SolverFactory:
-        """Return what makes the solver of an episode's controller."""
-        ...
-
-
-class SolverByName(NamedTuple):
-    """Solver that ``[controller] solver`` can name."""
+class Candidate(NamedTuple):
+    """Solver to be measured: its name in tables, and what makes it for a controller."""
 
     name: str
-
-    def config(self, episode: Episode) -> ResolvedConfig:
-        """Return the episode's settings with this solver."""
-        return msgspec.structs.replace(episode.config, solver=self.name)
-
-    def solver_factory(self, _episode: Episode) -> SolverFactory:
-        """Return the factory that follows the settings."""
-        return make
+    make_solver: SolverFactory
 
 
-class Piqp(NamedTuple):
-    """PIQP through its own interface (``piqp_yardstick.py``)."""
-
-    tolerance: float | None = None  # absolute and relative; None: PIQP's own
-
-    @property
-    def name(self) -> str:
-        """Return its name in tables; ``piqp`` alone is the one of qpsolvers."""
-        return "PIQP native" if self.tolerance is None else f"PIQP native {self.tolerance:g}"
-
-    def config(self, episode: Episode) -> ResolvedConfig:
-        """Return the episode's settings."""
-        return episode.config
-
-    def solver_factory(self, _episode: Episode) -> SolverFactory:
-        """Return a factory of PIQP workspaces."""
-        return lambda _vehicle, _config: PiqpYardstick(self.tolerance)
+def solver_by_name(name: str) -> Candidate:
+    """Return a solver that ``[controller] solver`` can name."""
+    return Candidate(name, lambda vehicle, config: make(vehicle, msgspec.structs.replace(config, solver=name)))
 
 
-def controller_of(
-    candidate: Candidate, episode: Episode, *, make_solver: SolverFactory, stopwatch: Stopwatch = no_stopwatch
-) -> Controller:
-    """Return a new controller for an episode. Raises ``ConfigError`` if the settings name an unknown solver."""
-    return Controller(
-        episode.vehicle, episode.reference, candidate.config(episode), make_solver=make_solver, stopwatch=stopwatch
-    )
+def piqp_native(tolerance: float | None = None) -> Candidate:
+    """Return PIQP through its own interface, with an absolute and relative tolerance; None: PIQP's own.
+
+    Its name is not ``piqp``, which is the one of qpsolvers.
+    """
+    name = "PIQP native" if tolerance is None else f"PIQP native {tolerance:g}"
+    return Candidate(name, lambda _vehicle, _config: PiqpYardstick(tolerance))
 
 
 class Samples:
@@ -195,7 +158,7 @@ class _Bench(ControllerNode):
         ]
         for controller, _ in plans:
             self._other_memory += 1.0
-            controller.plan_flushed(driver, estimate, t_ns)
+            _, controller.flushed_us = controller.timed(driver, estimate, t_ns)
         plan = driver.plan(estimate, t_ns=t_ns)
         if plan.solve.status is not SolveStatus.NOT_RUN:
             if self._begun:  # the first cycle starts from a crude guess
@@ -213,12 +176,13 @@ class _MeasuredController:
 
     def __init__(self, candidate: Candidate, episode: Episode, into: Samples) -> None:
         self.timer = StageTimer()
-        self._make_solver = candidate.solver_factory(episode)
+        self._make_solver = candidate.make_solver
         self._recorded: RecordingSolver
-        self.controller = controller_of(candidate, episode, make_solver=self._make_recorded, stopwatch=self.timer)
+        parts = episode.vehicle, episode.reference, episode.config
+        self.controller = Controller(*parts, make_solver=self._make_recorded, stopwatch=self.timer)
         self._into = into
-        self._largest_N = HorizonLimits.from_vehicle(episode.vehicle, seconds(1)).thrust_scale
-        self._cycle_us = self._repeated_us = self._flushed_us = 0.0
+        self._largest_N = thrust_scale(episode.vehicle)
+        self._cycle_us = self._repeated_us = self.flushed_us = 0.0
         self._stage_us: dict[str, float] = {}
 
     def _make_recorded(self, vehicle: Vehicle, config: ControllerConfig) -> Solver:
@@ -227,17 +191,13 @@ class _MeasuredController:
 
     def plan(self, driver: Controller, estimate: Estimate, t_ns: int) -> Plan:
         """Measure one cycle, interleaved and then repeated."""
-        plan, self._cycle_us = self._timed(driver, estimate, t_ns)
+        plan, self._cycle_us = self.timed(driver, estimate, t_ns)
         self._stage_us = dict(self.timer.stage_us)
-        _, self._repeated_us = self._timed(driver, estimate, t_ns)
+        _, self._repeated_us = self.timed(driver, estimate, t_ns)
         return plan
 
-    def plan_flushed(self, driver: Controller, estimate: Estimate, t_ns: int) -> None:
-        """Measure the same cycle with flushed caches."""
-        _, self._flushed_us = self._timed(driver, estimate, t_ns)
-
-    def _timed(self, driver: Controller, estimate: Estimate, t_ns: int) -> tuple[Plan, float]:
-        """Run one cycle; return its plan and its time (us)."""
+    def timed(self, driver: Controller, estimate: Estimate, t_ns: int) -> tuple[Plan, float]:
+        """Run one cycle of the driver's state; return its plan and its time (us)."""
         controller, timer = self.controller, self.timer
         controller.restore(driver.save(t_ns), t_ns)
         controller.observer = copy.deepcopy(driver.observer)
@@ -251,7 +211,7 @@ class _MeasuredController:
         into = self._into
         into.cycle_us.append(self._cycle_us)
         into.repeated_us.append(self._repeated_us)
-        into.flushed_us.append(self._flushed_us)
+        into.flushed_us.append(self.flushed_us)
         for stage, sample in into.stage_us.items():
             sample.append(self._stage_us.get(stage, 0.0))
         into.iterations.append(plan.solve.iterations)
@@ -272,15 +232,5 @@ class _Exact:
         """Return states and inputs (N+1, 12) of the problem; the last problem's solution is kept."""
         along = problem.f.tobytes() + problem.h.tobytes() + problem.low.tobytes()
         if along != self._along:
-            self._along, self._z = along, self._solved(problem)
+            self._along, self._z = along, PiqpYardstick(EXACT).solve(problem, 0.0).z
         return self._z
-
-    def _solved(self, problem: Problem) -> Array:
-        solver = piqp.SparseSolver()
-        solver.settings.eps_abs = solver.settings.eps_duality_gap_abs = EXACT
-        solver.settings.eps_rel = solver.settings.eps_duality_gap_rel = 0.0
-        qp = sparse_qp(problem)
-        equal, A = qp.l == qp.u, csc_matrix(qp.A)
-        solver.setup(csc_matrix(qp.P), qp.q, A[equal], qp.l[equal], A[~equal], qp.l[~equal], qp.u[~equal])
-        solver.solve()
-        return solution_of(problem, np.array(solver.result.x))

@@ -27,24 +27,10 @@ class PiqpYardstick:
         self._tolerance = tolerance
         self._layout: SparseLayout | None = None
         self._solver: Any = None
-        self._finite = False
 
-    def shift_warm_start(self, stages: float) -> None:
-        """Do nothing: PIQP has no warm start."""
-
-    def reset_warm_start(self) -> None:
-        """Do nothing: PIQP has no warm start."""
-
-    def build(self, problem: Problem) -> None:
-        """Build the QP (see ``Solver``)."""
-        self._problem = problem
-        if self._layout is None or not fits(problem, self._layout.masks):
-            self._lay_out(SparseLayout(problem, self._layout))
-        assert self._layout is not None
-        fill(problem, self._layout.places, self._numbers)
-        self._finite = is_finite(problem)
-
-    def _lay_out(self, layout: SparseLayout) -> None:
+    def set_up(self, problem: Problem) -> None:
+        """Lay out the QP of a problem, and of those before it (see ``Solver``)."""
+        layout = SparseLayout(problem, self._layout)
         self._layout, self._numbers, self._solver = layout, layout.allocate(), None
         kind, row_of = layout.places.kind, layout.A.indices
         self._equal, self._bound = np.flatnonzero(kind == DYNAMICS), np.flatnonzero(kind == HARD)
@@ -56,15 +42,13 @@ class PiqpYardstick:
         self._bounded = variable[self._bound]
         self._low, self._high = np.full(layout.variables, -np.inf), np.full(layout.variables, np.inf)
 
-    def update(self) -> None:
-        """Update the workspace (see ``Solver``)."""
-        if not self._finite or self._layout is None:
-            return
+    def _update(self, layout: SparseLayout) -> None:
+        """Pass the numbers to the workspace."""
         P, q, A, l, u = self._numbers  # noqa: E741
         self._low[self._bounded], self._high[self._bounded] = l[self._bound], u[self._bound]
         bounds = {"x_l": self._low, "x_u": self._high, "h_l": l[self._other], "h_u": u[self._other]}
         if self._solver is None:
-            pattern, whole = self._layout.P, csc_matrix(self._layout.assemble(self._numbers).A)
+            pattern, whole = layout.P, csc_matrix(layout.assemble(self._numbers).A)
             self._P = csc_matrix((P.copy(), pattern.indices, pattern.indptr), pattern.shape)  # PIQP reads this half
             self._A, self._G = csc_matrix(whole[self._equal]), csc_matrix(whole[self._other])
             self._solver = piqp.SparseSolver()
@@ -78,12 +62,17 @@ class PiqpYardstick:
             self._P.data[:], self._A.data[:], self._G.data[:] = P, A[self._equal_entries], A[self._other_entries]
             self._solver.update(P=self._P, c=q, A=self._A, b=l[self._equal], G=self._G, **bounds)
 
-    def solve(self) -> Result:
+    def solve(self, problem: Problem, shift: float, *, last: bool = True) -> Result:  # noqa: ARG002
         """Solve the QP (see ``Solver``)."""
-        p = self._problem
-        if not self._finite or self._solver is None:
+        p = problem
+        if not is_finite(p):
             why = "the problem is not finite"
             return Result(np.zeros_like(p.h), Solve(status=SolveStatus.NON_FINITE, why=why))
+        if self._layout is None or not fits(p, self._layout.masks):
+            self.set_up(p)
+        assert self._layout is not None
+        fill(p, self._layout.places, self._numbers)
+        self._update(self._layout)
         status = self._solver.solve()
         x, info = self._solver.result.x, self._solver.result.info
         if not np.isfinite(x).all():

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import random
+from collections import Counter
 from collections.abc import Callable, Sequence
 
 import msgspec
@@ -16,13 +17,13 @@ import numpy as np
 from ltv_mpc.errors import ConfigError
 from services.tools.profile import problems
 from services.tools.profile.machine_description import Machine, load, machine
-from services.tools.profile.measure import Piqp, Samples, SolverByName, controller_of, measure
+from services.tools.profile.measure import Candidate, Samples, measure, piqp_native, solver_by_name
 from services.tools.profile.problems import Episode, seconds
 
-YARDSTICK = Piqp()
+YARDSTICK = piqp_native()
 """Always measured: what every other row is a ratio of."""
 
-RELAXED = Piqp(tolerance=1e-6)
+RELAXED = piqp_native(1e-6)
 """Always measured, too: the yardstick at the quality that is asked of the others, 0.1 N in 99 % of the cycles."""
 
 WARM_UP = 20
@@ -102,12 +103,12 @@ def parse_horizons(text: str) -> list[int]:
     return list(dict.fromkeys(stages))
 
 
-def parse_solvers(text: str, episode: Episode) -> list[SolverByName]:
+def parse_solvers(text: str, episode: Episode) -> list[Candidate]:
     """Read ``osqp,riccati`` as solvers, each tried on ``episode``. Raises ``ConfigError``."""
-    solvers = [SolverByName(name) for name in dict.fromkeys(part.strip() for part in text.split(","))]
+    solvers = [solver_by_name(name) for name in dict.fromkeys(part.strip() for part in text.split(","))]
     for solver in solvers:
         try:
-            controller_of(solver, episode, make_solver=solver.solver_factory(episode))
+            solver.make_solver(episode.vehicle, episode.config)
         except ConfigError as error:
             raise ConfigError("option --solvers", "", error.problem, value=solver.name) from None
     return solvers
@@ -118,7 +119,7 @@ def parse_solvers(text: str, episode: Episode) -> list[SolverByName]:
 
 def run(
     by_horizon: Sequence[Sequence[Episode]],
-    solvers: Sequence[SolverByName],
+    solvers: Sequence[Candidate],
     *,
     seed: int,
     progress: Callable[[float], None],
@@ -132,8 +133,7 @@ def run(
     seed : of the order of the solvers.
     progress : receives the share done.
     """
-    candidates: tuple[Piqp | SolverByName, ...] = (YARDSTICK, RELAXED, *solvers)
-    order = random.Random(seed)
+    candidates, order = (YARDSTICK, RELAXED, *solvers), random.Random(seed)
     rows: list[Row] = []
     load_before = load()
     total = sum(WARM_UP + sum(episode.cycles for episode in episodes) for episodes in by_horizon)
@@ -150,33 +150,29 @@ def run(
         if not measured[0].cycle_us:
             raise ConfigError("option --run", "", "has no solved cycle of the controller: name another run")
         rows += [_row(who.name, samples, measured[0]) for who, samples in zip(candidates, measured, strict=True)]
-    kinds = dict.fromkeys((episode.kind for episode in by_horizon[0]), 0)
+    kinds = Counter[str]()
     for episode in by_horizon[0]:
         kinds[episode.kind] += episode.cycles
     return Profile(rows=rows, problems=kinds, machine=machine(load_before))
 
 
 def _row(solver: str, samples: Samples, yardstick: Samples) -> Row:
-    cycle, repeated, flushed = _cycle_times(samples)
-    reference, reference_repeated, reference_flushed = _cycle_times(yardstick)
+    measured, reference = _spreads(samples), _spreads(yardstick)
     return Row(
         solver=solver,
         stages=samples.stages,
         horizon_s=samples.horizon_s,
         cycles=len(samples.cycle_us),
-        cycle_us=cycle,
-        repeated_us=repeated,
-        flushed_us=flushed,
         stage_us={stage: Spread.of(times) for stage, times in samples.stage_us.items()},
-        iterations=Spread.of(samples.iterations),
-        thrust_error_N=Spread.of(samples.thrust_error_N),
         status={str(status): count for status, count in samples.status.most_common()},
-        ratio=Ratio.of(cycle, reference),
-        repeated_ratio=Ratio.of(repeated, reference_repeated),
-        flushed_ratio=Ratio.of(flushed, reference_flushed),
+        ratio=Ratio.of(measured["cycle_us"], reference["cycle_us"]),
+        repeated_ratio=Ratio.of(measured["repeated_us"], reference["repeated_us"]),
+        flushed_ratio=Ratio.of(measured["flushed_us"], reference["flushed_us"]),
+        **measured,
     )
 
 
-def _cycle_times(samples: Samples) -> tuple[Spread, Spread, Spread]:
-    """Return the times of a cycle interleaved, repeated and flushed."""
-    return Spread.of(samples.cycle_us), Spread.of(samples.repeated_us), Spread.of(samples.flushed_us)
+def _spreads(samples: Samples) -> dict[str, Spread]:
+    """Return the quantiles of what has one number a cycle, by its name in a row."""
+    names = "cycle_us", "repeated_us", "flushed_us", "iterations", "thrust_error_N"
+    return {name: Spread.of(getattr(samples, name)) for name in names}

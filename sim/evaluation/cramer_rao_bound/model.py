@@ -20,10 +20,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import expm
 
+from ltv_mpc.currents import grid_depths
 from ltv_mpc.frames import earth_rate, gravity, rotation, skew
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.sensor_config import SensorConfig
-from ltv_mpc.localisation.sensors.adcp import Adcp
+from ltv_mpc.localisation.sensors.adcp import beam_directions
 from ltv_mpc.messages import Array
 
 POSITION, VELOCITY, ATTITUDE = slice(0, 3), slice(3, 6), slice(6, 9)
@@ -101,7 +102,8 @@ class ErrorModel:
         """
         self._sensor_config, self._config, self._calibration_s = sensor_config, config, calibration_s
         self._earth = earth_rate(sensor_config.latitude_rad) if sensor_config.imu.senses_earth_rate else np.zeros(3)
-        self.nodes = math.ceil(config.deepest_m / config.cell_m - 1e-9) + 1
+        self._depth_m = grid_depths(config.deepest_m, config.cell_m)
+        self.nodes = len(self._depth_m)
         self.size = WATER + 2 * self.nodes
         imu, adcp = sensor_config.imu, sensor_config.adcp
         self._sd = np.zeros(self.size)
@@ -121,10 +123,7 @@ class ErrorModel:
             self.free[NAMES[name]] = False
         if not self.free[2]:
             self.free[[EPOCH.stop - 1, START.stop - 1]] = False
-        self._beams = _beams(adcp)
-        self._range = adcp.blanking_m + adcp.cell_m * (
-            0.5 + np.arange(math.floor((adcp.range_m - adcp.blanking_m) / adcp.cell_m + 1e-9))
-        )
+        self._beams = beam_directions(adcp.beam_angle_rad) @ rotation(*adcp.mounting_rad).T  # M e_k
         # A lost beam or a recognised outlier has no information: the information of a ping is reduced by their share.
         self._beam_weight = (1.0 - adcp.missing_share) * (1.0 - adcp.outlier_share) / adcp.beam_noise_sd_mps**2
 
@@ -136,7 +135,7 @@ class ErrorModel:
         i = np.arange(9)
         J[i, i] = _ANYWHERE
         J[5, 5] = 1.0 / HEAVE_SD_MPS**2
-        z, c = self._config.cell_m * np.arange(self.nodes), self._config
+        z, c = self._depth_m, self._config
         P = c.current_mean_sd_mps**2 + c.current_sd_mps**2 * np.exp(
             -np.abs(np.subtract.outer(z, z)) / c.current_correlation_length_m
         )
@@ -245,8 +244,8 @@ class ErrorModel:
         The cell of beam k at range r measures  u . (c(z) - v) + bias,  u = R M e_k,  z = p_d + [R (l + r M e_k)]_d.
         The effect of the angular rate at the lever arm is left out: 0.1 mm/s for a mounting error of 0.3 deg.
         """
-        adcp, cell, r = self._sensor_config.adcp, self._config.cell_m, self._range
-        lever = np.array(adcp.lever_arm_m)
+        adcp, cell = self._sensor_config.adcp, self._config.cell_m
+        lever, r = np.array(adcp.lever_arm_m), adcp.cell_ranges_m
         blocks = []
         for k, b in enumerate(self._beams):
             u = now.R @ b
@@ -276,11 +275,3 @@ class ErrorModel:
                 h[i, first + 1] = u[axis] * share[:, 0]
             blocks.append(h)
         return np.vstack(blocks) * math.sqrt(self._beam_weight)
-
-
-def _beams(adcp: Adcp) -> Array:
-    """Return the nominal beam directions M e_k, (4, 3): ahead, astern, starboard, port."""
-    away, down = math.sin(adcp.beam_angle_rad), math.cos(adcp.beam_angle_rad)
-    e = np.array([[away, 0, down], [-away, 0, down], [0, away, down], [0, -away, down]])
-    beams: Array = e @ rotation(*adcp.mounting_rad).T
-    return beams

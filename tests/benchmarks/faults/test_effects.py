@@ -17,10 +17,17 @@ from benchmarks.faults.effects import (
     SolverFault,
     SolverFaultInterval,
 )
-from benchmarks.faults.message_faults import MessageFault, MessageFaultInterval, MessageFaults
+from benchmarks.faults.message_faults import (
+    Delivery,
+    FaultyLockStep,
+    MessageFault,
+    MessageFaultInterval,
+    MessageFaults,
+)
 from benchmarks.faults.sensor_faults import READINGS, Failure, FaultySensors, SensorFault
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.node import ControllerNode
+from ltv_mpc.control.ocp.problem import Problem
 from ltv_mpc.control.solvers.interface import Result
 from ltv_mpc.messages import (
     Action,
@@ -41,7 +48,6 @@ from ltv_mpc.node import Grid, Inbox, OnMessage, ReceivedMessage
 from ltv_mpc.references import Point
 from ltv_mpc.validation import rejection_reason
 from ltv_mpc.vehicle.parameters import Vehicle
-from sim.scheduler import Delivery, LockStep
 from tests.stepping import as_sent
 
 MS, S = 1_000_000, 1_000_000_000
@@ -158,7 +164,7 @@ class Listener:
 
 def test_in_lock_step_a_delayed_message_is_heard_when_it_arrives() -> None:
     listener = Listener()
-    LockStep([Speaker(), listener], start_ns=0, transport=message_faults(MessageFault.DELAY, 0.25)).advance(3 * S)
+    FaultyLockStep(message_faults(MessageFault.DELAY, 0.25), [Speaker(), listener], start_ns=0).advance(3 * S)
     assert sorted(listener.heard) == sorted((100 * i + 250 * (10 <= i < 20), i) for i in range(31))
 
 
@@ -206,10 +212,11 @@ def test_garbage_is_anything_within_its_range_and_an_intermittent_sensor_comes_a
 
 
 class Good:
-    def solve(self) -> Result:
+    def solve(self, problem: Problem, shift: float, *, last: bool = True) -> Result:  # noqa: ARG002
         return GOOD
 
 
+PROBLEM = Problem.empty(1, 1, 1, 0)
 GOOD = Result(np.ones((3, 2)), Solve(status=SolveStatus.SOLVED))
 
 
@@ -220,13 +227,13 @@ def test_a_faulty_solver_gives_no_finite_command_in_its_interval(fault: SolverFa
     now = SolverClock()
     solver = FaultySolver(Good(), [SolverFaultInterval(fault, INTERVAL)], now)
     for now.t_ns in (S - 1, 2 * S):
-        assert solver.solve() is GOOD
+        assert solver.solve(PROBLEM, 0.0) is GOOD
     now.t_ns = S
-    z, solve = solver.solve()
+    z, solve = solver.solve(PROBLEM, 0.0)
     assert np.isnan(z).all()
     assert solve.status is status
     with pytest.raises(InjectedSolverError):
-        FaultySolver(Good(), [SolverFaultInterval(SolverFault.RAISES, INTERVAL)], now).solve()
+        FaultySolver(Good(), [SolverFaultInterval(SolverFault.RAISES, INTERVAL)], now).solve(PROBLEM, 0.0)
 
 
 def test_a_new_node_goes_on_armed_and_solves_its_second_plan() -> None:

@@ -7,14 +7,14 @@ from typing import NamedTuple
 
 import numpy as np
 import piqp
+from msgspec.structs import astuple
 from scipy.sparse import csc_matrix
 
 from ltv_mpc.control.config import Weights
-from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import Linearisation, linearise, roll_out
 from ltv_mpc.control.ocp.assembly import problem_along
 from ltv_mpc.control.ocp.problem import Problem
-from ltv_mpc.control.problem_data import CHANGES, COMMANDS
+from ltv_mpc.control.problem_data import CHANGES, COMMANDS, Constants
 from ltv_mpc.control.qp import QP
 from ltv_mpc.control.solvers import SOLVERS, Solver, solve_qp
 from ltv_mpc.control.solvers.sparse import solution_of, sparse_qp
@@ -26,8 +26,10 @@ PAPER = Vehicle.load("paper")
 SOLVER_NAMES = (*SOLVERS, "piqp", "daqp")
 """Every solver of the table, and two backends of qpsolvers: an interior-point and an active-set method."""
 
-LIMITS = HorizonLimits.from_vehicle(PAPER, 0.3)
-LOWERED = HorizonLimits(0.4 * LIMITS.low, np.array([0.4, 0.3]) * LIMITS.high, LIMITS.max_change, LIMITS.state_scale)
+LIMITS = Constants.of(PAPER, Weights(), np.arange(2.0))
+LOWERED = LIMITS._replace(
+    low=0.4 * LIMITS.low, high=np.array([0.4, 0.3]) * LIMITS.high, thrust_scale=0.4 * LIMITS.thrust_scale
+)
 """A box that was just made smaller: a command can be outside of it."""
 
 
@@ -71,12 +73,17 @@ class Form(NamedTuple):
     """Knots, limits and weights of a problem."""
 
     knots: Array
-    limits: HorizonLimits = LIMITS
+    limits: Constants = LIMITS
     weights: Weights = Weights()
+
+    @property
+    def constants(self) -> Constants:
+        """Constants of a cycle with this problem."""
+        return self.limits._replace(t=self.knots, weights=np.array(astuple(self.weights)))
 
     def problem(self, lin: Linearisation, target: Array, rows: Array | None = None) -> Problem:
         """Return the problem along a motion; ``rows`` (N, M, 4): normal of dp over the scale, bound and penalty."""
-        plain = problem_along(lin, target, self.knots, self.limits, self.weights)
+        plain = problem_along(lin, target, self.constants)
         return plain if rows is None else with_rows(plain, rows, self.limits)
 
     def commands(self, lin: Linearisation, z: Array) -> Array:
@@ -89,7 +96,7 @@ class Form(NamedTuple):
         return self.commands(lin, solution_of(problem, precise(sparse_qp(problem))))
 
 
-def with_rows(plain: Problem, rows: Array, limits: HorizonLimits) -> Problem:
+def with_rows(plain: Problem, rows: Array, limits: Constants) -> Problem:
     """Return a problem with half-planes in addition."""
     N, n, m, M = plain.sizes
     p = Problem.empty(N, n, m, M + rows.shape[1])
@@ -123,18 +130,15 @@ class Answer(NamedTuple):
     solve: Solve
 
 
-def solved(solver: Solver, form: Form, lin: Linearisation, target: Array, rows: Array | None = None) -> Answer:
-    """Return the answer to a cycle, from the solver's present warm start."""
-    solver.build(form.problem(lin, target, rows))
-    solver.update()
-    result = solver.solve()
-    return Answer(form.commands(lin, result.z), result.solve)
-
-
-def answer(solver: Solver, form: Form, lin: Linearisation, target: Array, stages: float = math.nan) -> Answer:
+def answer(
+    solver: Solver,
+    form: Form,
+    lin: Linearisation,
+    target: Array,
+    stages: float = math.nan,
+    *,
+    rows: Array | None = None,
+) -> Answer:
     """Return the answer to a cycle ``stages`` first stages after the last one; NaN: there was none."""
-    if math.isnan(stages):
-        solver.reset_warm_start()
-    else:
-        solver.shift_warm_start(stages)
-    return solved(solver, form, lin, target)
+    result = solver.solve(form.problem(lin, target, rows), stages)
+    return Answer(form.commands(lin, result.z), result.solve)

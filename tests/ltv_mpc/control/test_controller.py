@@ -11,7 +11,7 @@ import pytest
 from ltv_mpc import Controller, ControllerConfig, Estimate, PlanOrigin, Vehicle, advance, references
 from ltv_mpc.control.config import Weights
 from ltv_mpc.control.mode import NO_DEPTH
-from ltv_mpc.control.problem_data import pack_constants
+from ltv_mpc.control.problem_data import Constants
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.vertical import VerticalPlan, follow_depth
 from ltv_mpc.errors import SolverNotInstalled
@@ -118,7 +118,7 @@ def test_it_ramps_to_a_depth_and_holds_it():
 
 
 def test_on_a_ramp_that_is_too_fast_the_thruster_saturates_without_windup():
-    numbers = pack_constants(PAPER, Weights(), np.arange(18.0), 0.3)
+    numbers = Constants.of(PAPER, Weights(), np.arange(18.0))
     at, free = np.array([1.0, 0.2, 62.5, 62.5, 0.0]), np.array([-np.inf, np.inf, 0.3])
     plan = VerticalPlan(*follow_depth(numbers, at, np.full(18, 9.0), np.full(18, 0.3), free))
     np.testing.assert_array_equal(plan.thrust_N, 62.5)

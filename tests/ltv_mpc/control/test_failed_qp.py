@@ -13,7 +13,7 @@ from ltv_mpc.control.solvers.recorder import QpRecorder
 from ltv_mpc.control.solvers.sparse import SparseLayout
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Solve
-from tests.ltv_mpc.control.problems import LIMITS, Form, equidistant, motion
+from tests.ltv_mpc.control.problems import Form, equidistant, motion
 
 PAPER = Vehicle.load("paper")
 
@@ -21,7 +21,7 @@ PAPER = Vehicle.load("paper")
 def built():
     problem = Form(equidistant(5)).problem(*motion(3, 5))
     layout = SparseLayout(problem)
-    return layout.assemble(layout.filled(problem)), row_names(layout, scales(LIMITS))
+    return layout.assemble(layout.filled(problem)), row_names(layout, scales(PAPER))
 
 
 def test_every_row_has_words_and_a_scale():

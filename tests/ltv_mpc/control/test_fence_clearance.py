@@ -19,7 +19,7 @@ from ltv_mpc.control.fence_clearance import (
     is_near,
     surplus_m,
 )
-from ltv_mpc.control.problem_data import pack_constants, unpack_constants
+from ltv_mpc.control.problem_data import Constants
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.geofence.allowed_path import NO_ZONES
 from ltv_mpc.geofence.fence import Fence
@@ -67,7 +67,7 @@ def every_need(of: Scene, t_s: Array) -> Array:
 @pytest.mark.parametrize("seed", SEEDS)
 def test_the_cost_of_a_track_is_that_of_all_its_points(seed: int) -> None:
     of, X = scene(), track(seed)
-    o = unpack_constants(pack_constants(PAPER, settled(ControllerConfig(), PAPER).weights, KNOTS, 0.3)).objective
+    o = Constants.of(PAPER, settled(ControllerConfig(), PAPER).weights, KNOTS)
     total = 0.0
     for k, g in enumerate(np.diff(KNOTS), 1):
         part = np.arange(1, math.ceil(g) + 1) / math.ceil(g)
@@ -122,7 +122,7 @@ def test_in_a_zone_the_surplus_is_that_over_the_half_plane_of_its_exit() -> None
 @pytest.mark.parametrize(("within", "near"), [(0.9, True), (1.1, False)])
 def test_near_is_up_to_one_length_scale_beyond_what_is_required(within: float, near: bool) -> None:
     """A zone, an obstacle and the edge of a corridor, each alone, and a vehicle whose position scale is not 1 m."""
-    o = unpack_constants(pack_constants(SMALL, settled(ControllerConfig(), SMALL).weights, KNOTS, 0.3)).objective
+    o = Constants.of(SMALL, settled(ControllerConfig(), SMALL).weights, KNOTS)
     scale = o.state_scale[0]
     assert abs(scale - 1.0) > 0.1
     empty = {"zones": NO_ZONES, "need": np.empty(0), "exits": np.empty((0, 4)), "discs": np.empty((0, 7))}
@@ -154,7 +154,7 @@ def test_a_place_far_to_the_south_west_changes_nothing() -> None:
     discs[:, :2] += far
     circle = zones.circle + np.array([*far, 0.0])
     moved = scene(zones=Zones(zones.vertices + far, zones.first, zones.radius, zones.margin, circle), discs=discs)
-    o = unpack_constants(pack_constants(PAPER, settled(ControllerConfig(), PAPER).weights, KNOTS, 0.3)).objective
+    o = Constants.of(PAPER, settled(ControllerConfig(), PAPER).weights, KNOTS)
     for seed in SEEDS:
         X, away = track(seed), track(seed)
         away[:, :2] += far

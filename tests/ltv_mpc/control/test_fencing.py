@@ -17,7 +17,7 @@ from ltv_mpc.control.ocp.problem import Problem
 from ltv_mpc.control.prediction import Prediction
 from ltv_mpc.control.scaling import characteristic_scales
 from ltv_mpc.control.sent_commands import SentCommands
-from ltv_mpc.control.solvers import Solver, make
+from ltv_mpc.control.solvers import Result, Solver, make
 from ltv_mpc.control.solvers.recorder import RecordingSolver
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.geofence.fence import Disc, Polygon
@@ -124,9 +124,9 @@ def test_a_cycle_has_two_qps_and_a_third_after_a_step_into_a_zone() -> None:
     rows: list[int] = []
 
     class Counting(RecordingSolver):
-        def build(self, problem: Problem) -> None:
+        def solve(self, problem: Problem, shift: float, *, last: bool = True) -> Result:
             rows.append(problem.sizes[3] - ROWS)
-            super().build(problem)
+            return super().solve(problem, shift, last=last)
 
     of = Controller(CRAFT, Point(north_m=GOAL[0], east_m=GOAL[1]), make_solver=lambda *of: Counting(make(*of)))
     of.set_fence(FAR_DISC)

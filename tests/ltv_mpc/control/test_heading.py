@@ -10,7 +10,6 @@ import pytest
 from ltv_mpc import Controller, Estimate, Vehicle
 from ltv_mpc.control.config import ResolvedConfig, Weights
 from ltv_mpc.control.ocp.assembly import cost
-from ltv_mpc.control.problem_data import pack_objective, unpack_objective
 from ltv_mpc.control.solvers import SOLVERS, make
 from ltv_mpc.messages import SolveStatus
 from ltv_mpc.references import Hold, Point, Reference
@@ -90,7 +89,7 @@ def test_the_cost_of_a_heading_by_hand():
     X, U, C, target = np.zeros((4, 8)), np.zeros((4, 2)), np.zeros((4, 2)), np.zeros((4, 3))
     X[:, 4] = 0.0, 0.1, 3.0, -0.2
     target[:3, 2] = 0.0, -3.0, 2.0 * math.pi
-    objective = unpack_objective(pack_objective(t, LIMITS, WEIGHTS))
+    objective = Form(t, LIMITS, WEIGHTS).constants
     expected = 0.5 * 0.3 * (0.01 + (6.0 - 2.0 * math.pi) ** 2 + 2.0 * 0.04)
     assert cost(X, U, C, target, objective) == pytest.approx(expected)
 

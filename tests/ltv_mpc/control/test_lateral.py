@@ -9,6 +9,7 @@ import pytest
 from ltv_mpc import Controller, Estimate, Plan, PlanOrigin, Vehicle, advance, references
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.node import ControllerNode
+from ltv_mpc.control.resolution import settled
 from ltv_mpc.messages import Authority, ControllerState, CurrentProfile, Health
 from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.safety.command_arbiter import ThrustOverride
@@ -42,6 +43,19 @@ def test_the_predicted_motion_is_that_of_the_thrust_that_is_delivered(shares):
     at_first = msgspec.structs.replace(start, t_ns=first)
     end = advance(PAPER, at_first, of_the_water(plan, shares), duration_s=(int(plan.t_ns[-1]) - first) * 1e-9)
     np.testing.assert_allclose(plan.states[-1, :2], (end.north_m, end.east_m), atol=2e-3)
+
+
+@pytest.mark.parametrize("solver", SOLVER_NAMES)
+def test_the_plan_is_that_of_a_vehicle_with_thrusters_of_that_strength(solver):
+    """The problem is the same, so are its steps in newtons of the water."""
+    config = msgspec.structs.replace(settled(ControllerConfig(horizon_s=5.1), PAPER), solver=solver, sqp_iterations=1)
+    tables = msgspec.to_builtins(PAPER)
+    for name in ("min_N", "max_N", "slew_N_per_s"):
+        tables["thruster"]["port"][name] *= 0.5
+    weak, small = Controller(PAPER, ORIGIN, config), Controller(msgspec.convert(tables, Vehicle), ORIGIN, config)
+    weak.set_thrust_shares((0.5, 1.0))
+    commands, delivered = (of.plan(START).thrust_N for of in (weak, small))
+    np.testing.assert_allclose(commands * [0.5, 1.0, 1.0], delivered, atol=1e-3)
 
 
 @pytest.mark.parametrize("solver", SOLVER_NAMES)

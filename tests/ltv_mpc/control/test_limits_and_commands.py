@@ -10,14 +10,16 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from ltv_mpc import Vehicle
-from ltv_mpc.control.horizon_limits import HorizonLimits, clip_to_limits
+from ltv_mpc.control.config import Weights
+from ltv_mpc.control.ocp.limits import clip_to_limits
+from ltv_mpc.control.problem_data import Constants
 from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.messages import Array
 from ltv_mpc.safety.plan_gate import PlanGate, PlanVerdict
 from tests.ltv_mpc.plans import plan_of as plan
 
 PAPER = Vehicle.load("paper")
-LIMITS = HorizonLimits.from_vehicle(PAPER, 0.3)
+LIMITS = Constants.of(PAPER, Weights(), np.arange(2.0))
 SECOND = 1_000_000_000
 
 
@@ -49,23 +51,12 @@ def test_every_thruster_has_its_own_limits_and_is_scaled_by_its_larger_side():
     own = {"port": {"min_N": -20.0, "max_N": 50.0, "slew_N_per_s": 40.0}, "starboard": {"min_N": -60.0, "max_N": 30.0}}
     thruster = msgspec.to_builtins(PAPER.thruster)
     changed = {name: values | own.get(name, {}) for name, values in thruster.items()}
-    limits = HorizonLimits.from_vehicle(
-        msgspec.convert(msgspec.to_builtins(PAPER) | {"thruster": changed}, Vehicle), 0.3
-    )
+    vehicle = msgspec.convert(msgspec.to_builtins(PAPER) | {"thruster": changed}, Vehicle)
+    limits = Constants.of(vehicle, Weights(), LIMITS.t)
     np.testing.assert_array_equal(limits.low, [-20.0, -60.0])
     np.testing.assert_array_equal(limits.high, [50.0, 30.0])
     np.testing.assert_allclose(limits.max_change, [12.0, 30.0])
     np.testing.assert_array_equal(limits.thrust_scale, [50.0, 60.0])
-
-
-def test_a_start_outside_the_box_is_brought_in_at_the_slew_limit():
-    """From 150 N and -100 N at 30 N per stage. The opposite bound stays, and so do both for a start inside."""
-    low, high = LIMITS.box(np.array([150.0, -100.0]), np.arange(5.0))
-    np.testing.assert_array_equal(high.T, [[120.0, 90.0, 62.5, 62.5], [62.5] * 4])
-    np.testing.assert_array_equal(low.T, [[-62.5] * 4, [-70.0, -62.5, -62.5, -62.5]])
-    low, high = LIMITS.box(np.array([-62.5, 50.0]), np.arange(5.0))
-    np.testing.assert_array_equal(low, np.full((4, 2), -62.5))
-    np.testing.assert_array_equal(high, np.full((4, 2), 62.5))
 
 
 def test_commands_beyond_box_or_slew_become_the_nearest_allowed_ones():

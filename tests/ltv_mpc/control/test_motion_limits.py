@@ -10,19 +10,19 @@ import pytest
 
 from ltv_mpc.control.config import ControllerConfig, MotionLimits
 from ltv_mpc.control.controller import Controller
-from ltv_mpc.control.horizon_limits import MIN_PENALTY, HorizonLimits
 from ltv_mpc.control.ocp.assembly import cost
+from ltv_mpc.control.ocp.limits import MIN_PENALTY
 from ltv_mpc.control.ocp.problem import Problem
-from ltv_mpc.control.problem_data import pack_objective, unpack_objective
+from ltv_mpc.control.problem_data import Constants
 from ltv_mpc.control.qp import QP, residuals
 from ltv_mpc.control.resolution import settled
-from ltv_mpc.control.solvers import make, solve_qp
-from ltv_mpc.control.solvers.osqp import OsqpSolver
+from ltv_mpc.control.solvers import make, osqp, riccati, solve_qp
 from ltv_mpc.control.solvers.sparse import EXCESS, SparseLayout, solution_of
+from ltv_mpc.control.solvers.sweep import Sweep
 from ltv_mpc.messages import Array, Estimate, SolveStatus
 from ltv_mpc.references import Line, Place, Point
 from tests.ltv_mpc.control.flights import at_rest, fly
-from tests.ltv_mpc.control.problems import PAPER, SOLVER_NAMES, Form, equidistant, motion, precise, solved
+from tests.ltv_mpc.control.problems import LIMITS, PAPER, SOLVER_NAMES, Form, answer, equidistant, motion, precise
 
 N = 17
 YAW = MotionLimits.symmetric(yaw_rate_radps=0.15)
@@ -37,7 +37,9 @@ def settings(limits: MotionLimits, **fields: object) -> ControllerConfig:
 
 def form_of(limits: MotionLimits) -> Form:
     config = settled(settings(limits), PAPER)
-    return Form(equidistant(N), HorizonLimits.from_vehicle(PAPER, 0.3, limits.state_bounds), config.weights)
+    return Form(
+        equidistant(N), Constants.of(PAPER, config.weights, equidistant(N), limits.state_bounds), config.weights
+    )
 
 
 def laid_out(problem: Problem) -> tuple[SparseLayout, QP]:
@@ -63,7 +65,7 @@ def test_the_penalty_is_exact(limits: MotionLimits) -> None:
             ours, hard = (form.commands(lin, solution_of(problem, of)) for of in (x, within.x))
             np.testing.assert_allclose(ours, hard, atol=1e-6)
             assert excess < 1e-7
-            free = Form(equidistant(N), HorizonLimits.from_vehicle(PAPER, 0.3), form.weights)
+            free = Form(equidistant(N), LIMITS, form.weights)
             kept += bool(np.abs(ours - free.optimum(lin, target)).max() > 1.0)  # and it holds something back
     assert kept >= 3
     assert bought >= 1
@@ -74,7 +76,7 @@ def test_every_solver_has_them(solver: str) -> None:
     form = form_of(BOTH)
     for seed in (1, 2, 3, 5, 7):
         lin, target = motion(seed, N)
-        commands, solve = solved(make(PAPER, settings(BOTH, solver=solver)), form, lin, target)
+        commands, solve = answer(make(PAPER, settings(BOTH, solver=solver)), form, lin, target)
         assert solve.status is SolveStatus.SOLVED, solve.why
         np.testing.assert_allclose(commands, form.optimum(lin, target), atol=0.1)
 
@@ -84,13 +86,15 @@ def test_the_first_guess_of_osqp_is_the_solution(limits: MotionLimits) -> None:
     """The Riccati method finds the active limits of the motion, which of them are exceeded, and all multipliers."""
     beyond = 0
     for seed in range(12):
-        problem = form_of(limits).problem(*motion(seed, N))
-        solver = OsqpSolver(settled(settings(limits), PAPER))
-        solver.build(problem)
+        form = form_of(limits)
+        problem = form.problem(*motion(seed, N))
         layout, qp = laid_out(problem)
-        left = residuals(qp, solver.arrays.x, solver.arrays.y)
+        work, duals, at = Sweep.empty(problem), np.zeros(problem.low.shape), osqp.Arrays.empty(layout)
+        riccati.solve(problem, work, form.knots, math.nan, duals)
+        osqp.prepare(problem, layout.places, work, duals, at)
+        left = residuals(qp, at.x, at.y)
         assert max(left.stationarity, left.primal, left.complementarity) < 1e-3
-        beyond += bool((solver.arrays.x[layout.places.excess[layout.places.excess >= 0]] > 1e-3).any())
+        beyond += bool((at.x[layout.places.excess[layout.places.excess >= 0]] > 1e-3).any())
     assert beyond >= 1
 
 
@@ -145,14 +149,12 @@ def test_of_a_target_out_of_reach_only_the_direction_counts() -> None:
 def test_the_exact_flow_is_judged_by_them_too() -> None:
     """What the line search looks at costs as the QP has it: by stage lengths and scales."""
     knots = np.array([0.0, 1.0, 2.0, 4.0])
-    limits = HorizonLimits.from_vehicle(PAPER, 0.3, np.array([[-0.4, -0.1], [0.2, 0.3]]))
     weights = settled(ControllerConfig(), PAPER).weights
-    free, bound = (
-        unpack_objective(pack_objective(knots, of, weights)) for of in (HorizonLimits.from_vehicle(PAPER, 0.3), limits)
-    )
+    free = Constants.of(PAPER, weights, knots)
+    bound = Constants.of(PAPER, weights, knots, np.array([[-0.4, -0.1], [0.2, 0.3]]))
     X, U, C, target = np.zeros((4, 8)), np.zeros((4, 2)), np.zeros((4, 2)), np.zeros((4, 2))
     X[:, 2], X[:, 5] = [9.0, 0.2, -0.5, 0.1], [9.0, -0.3, 0.0, 0.16]
-    scale = limits.state_scale
+    scale = bound.state_scale
     foreseen = MIN_PENALTY * ((0.1 + 0.0 * 2) / scale[2] + (0.2 + 0.0 * 2) / scale[5])
     assert cost(X, U, C, target, bound) - cost(X, U, C, target, free) == pytest.approx(foreseen)
 

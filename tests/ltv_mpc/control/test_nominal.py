@@ -10,10 +10,9 @@ import pytest
 from ltv_mpc import Vehicle
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.fence_clearance import NO_PATH, Scene, fence_cost
-from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.nominal import PREVIOUS_PLAN, STEERED_AHEAD, choose_nominal
 from ltv_mpc.control.ocp.cycle import Cycle
-from ltv_mpc.control.problem_data import pack_constants, unpack_constants
+from ltv_mpc.control.problem_data import Constants
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.geofence.allowed_path import NO_ZONES
 from ltv_mpc.geofence.fence import Fence
@@ -24,7 +23,7 @@ from tests.ltv_mpc.geofence.shapes import disc
 WEAK = Vehicle.load("weak-reverse")
 CONFIG = settled(ControllerConfig(), WEAK)
 N = CONFIG.stages
-SCALES = HorizonLimits.from_vehicle(WEAK, 0.3)
+CONSTANTS = Constants.of(WEAK, CONFIG.weights, CONFIG.knots)
 
 
 def scene(*discs: tuple[float, float]) -> Scene:
@@ -50,15 +49,13 @@ def chosen(of: Scene) -> tuple[int, Array, float]:
     The vehicle holds its place 8 m east of the target, full astern in a current to the east. To come nearer it has to
     turn round, and the current carries it away to the east meanwhile.
     """
-    packed = pack_constants(WEAK, CONFIG.weights, CONFIG.knots, 0.3)
-    cycle = Cycle(packed, CONFIG.knots, SCALES, of)
+    cycle = Cycle(CONSTANTS, of)
     cycle.set_fence_rows(3)
     cycle.lin.C[:] = 0.0, 0.25
-    objective = unpack_constants(packed).objective
-    astern = objective.low
+    astern = CONSTANTS.low
     start = np.array([0.0, 8.0, -0.25, 0.0, math.pi / 2, 0.0, *astern, *astern])
     kind = choose_nominal(cycle, start, np.tile(astern, (N + 1, 1)), 0.0, was_clear=True)
-    return kind, cycle.lin.X.copy(), fence_cost(cycle.lin.X, of, objective.t, objective.state_scale[0])
+    return kind, cycle.lin.X.copy(), fence_cost(cycle.lin.X, of, CONSTANTS.t, CONSTANTS.state_scale[0])
 
 
 def test_what_follows_the_horizon_counts_only_for_a_way_free_of_zones() -> None:
@@ -77,9 +74,8 @@ def test_what_follows_the_horizon_counts_only_for_a_way_free_of_zones() -> None:
 @pytest.mark.parametrize(("in_the_way", "expected"), [(True, PREVIOUS_PLAN), (False, STEERED_AHEAD)])
 def test_a_guess_through_a_zone_does_not_replace_a_plan_through_it(in_the_way: bool, expected: int) -> None:
     """The plan goes on beyond the target, where the guess stops, and so it costs more; both lead through the zone."""
-    packed = pack_constants(WEAK, CONFIG.weights, CONFIG.knots, 0.3)
-    of, ahead = scene((0.1, 4.6)) if in_the_way else scene(), unpack_constants(packed).objective.high
-    cycle = Cycle(packed, CONFIG.knots, SCALES, of)
+    of, ahead = scene((0.1, 4.6)) if in_the_way else scene(), CONSTANTS.high
+    cycle = Cycle(CONSTANTS, of)
     cycle.set_fence_rows(3)
     cycle.lin.C[:] = 0.0
     start = np.array([0.0, 6.0, 0.3, 0.0, -math.pi / 2, 0.0, *ahead, *ahead])

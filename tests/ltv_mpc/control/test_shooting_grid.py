@@ -7,16 +7,14 @@ import pytest
 
 from ltv_mpc import Controller, ControllerConfig, Estimate, PlanOrigin, Vehicle, references
 from ltv_mpc.control.config import STAGE_NS, Weights
-from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import roll_out
 from ltv_mpc.control.ocp.assembly import cost
-from ltv_mpc.control.problem_data import pack_constants, pack_objective, unpack_objective
+from ltv_mpc.control.problem_data import Constants
 from ltv_mpc.control.shooting_grid import knots, shift
 from ltv_mpc.control.vertical import follow_depth
 
 PAPER = Vehicle.load("paper")
 P = PAPER.coefficients()
-LIMITS = HorizonLimits.from_vehicle(PAPER, 0.3)
 GROWING = knots(17, 34.0)
 LENGTHS = np.diff(GROWING)
 N = 17
@@ -54,7 +52,7 @@ def test_what_stays_the_same_costs_the_same_however_long_the_stages_are():
         X, U, C = np.zeros((len(t), 8)), np.zeros((len(t), 2)), np.zeros((len(t), 2))
         X[:, 0] = 1.0
         U[:, 0] = F(t)
-        return cost(X, U, C, np.zeros((len(t), 2)), unpack_objective(pack_objective(t, LIMITS, weights)))
+        return cost(X, U, C, np.zeros((len(t), 2)), Constants.of(PAPER, weights, t))
 
     steady = [costs(t, lambda t: np.full(len(t), 30.0)) for t in (GROWING, np.arange(35.0))]
     assert steady[0] == pytest.approx(steady[1]) == pytest.approx(34 * 0.5 * (1 + 0.2 * (30 / 62.5) ** 2))
@@ -68,7 +66,7 @@ def test_the_vertical_law_acts_as_often_as_before():
     fine = np.arange(8.0)
 
     def depths(t):
-        numbers = pack_constants(PAPER, Weights(), t, 0.3)
+        numbers = Constants.of(PAPER, Weights(), t)
         at, free = np.array([1.0, 0.0, 20.0, 20.0, 0.0]), np.array([-np.inf, np.inf, 0.3])
         return follow_depth(numbers, at, 1.5 + 0.06 * t, np.full(len(t), 0.2), free)
 

@@ -10,7 +10,7 @@ from scipy.integrate import quad
 
 from ltv_mpc import Controller, ControllerConfig, Vehicle, references
 from ltv_mpc.control.config import Weights
-from ltv_mpc.control.problem_data import Constants, pack_constants, unpack_constants
+from ltv_mpc.control.problem_data import Constants
 from ltv_mpc.control.scaling import characteristic_scales
 from ltv_mpc.control.terminal_check import MAX_TAIL_TIMES, TerminalCheck, check_terminal, closing_speed
 from tests.ltv_mpc.control.flights import at_rest, fly
@@ -20,7 +20,7 @@ STAGE_S = 0.3
 
 
 def numbers(vehicle: Vehicle) -> Constants:
-    return unpack_constants(pack_constants(vehicle, Weights(), np.arange(5.0), STAGE_S))
+    return Constants.of(vehicle, Weights(), np.arange(5.0))
 
 
 def ends(vehicle: Vehicle, off_m: float, heading: float, flow_mps: float, target_mps: float = 0.0) -> TerminalCheck:

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
+from hypothesis import strategies as st
 
-from ltv_mpc.geofence.allowed_path import STEP_M, allowed_path, divided, nearest_allowed
+from ltv_mpc.geofence import allowed_path as allowed_path_module
+from ltv_mpc.geofence.allowed_path import BLOCK, STEP_M, DividedTable, Routes, allowed_path, divided, nearest_allowed
 from ltv_mpc.geofence.fence import Fence
 from ltv_mpc.geofence.route import SLACK_M, Router
-from ltv_mpc.geofence.zones import Zones, clearances, pack_zones
+from ltv_mpc.geofence.zones import Zones, are_clear, clearances, pack_zones
 from ltv_mpc.messages import Array
-from ltv_mpc.references import Line, Place, Timed
+from ltv_mpc.references import Line, Place, Timed, Waypoints
 from ltv_mpc.references.schedule import EAST, NORTH, TIME, WAY, Schedule, target_at
 from ltv_mpc.vehicle.parameters import Vehicle
 from tests.ltv_mpc.geofence.shapes import contains, disc, fence_of, point, polygon, rings
@@ -55,17 +58,57 @@ class CountingRouter(Router):
         return super().way(start, goal, remember=remember)
 
 
-def test_a_detour_on_a_long_path_takes_no_more_work_than_on_a_short_one() -> None:
-    """Far from the zone the columns are those of the path, later by the detour."""
-    counts = []
-    for end_m in (100.0, 20_000.0):
-        before, router = line(0.0, end_m), CountingRouter(ONE, NEED)
-        after, _ = allowed_path(before, router)
-        counts.append(router.searches)
+class CountingPoints(np.ndarray):
+    """Points of a path that count how often one of them is looked at."""
+
+    visits = 0
+
+    def __getitem__(self, at: Any) -> Any:
+        found = np.asarray(self)[at]
+        CountingPoints.visits += len(found)
+        return found
+
+
+def test_a_report_of_a_standing_obstacle_visits_the_path_near_it_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of 10,000 waypoints as of 100. Far from the obstacle the columns are those of the path, later by the detour."""
+
+    def counting(table: Array) -> DividedTable:
+        of = divided(table)
+        return of._replace(points=of.points.view(CountingPoints))
+
+    def all_visited(zones: Zones, need: Array, points: Array) -> Any:
+        return are_clear(zones, need, points[:])
+
+    monkeypatch.setattr(allowed_path_module, "divided", counting)
+    monkeypatch.setattr(allowed_path_module, "are_clear", all_visited)
+    monkeypatch.setattr(allowed_path_module, "Router", CountingRouter)
+    work = []
+    for count in (100, 10_000):
+        places = tuple(Place(north_m=4.0 * k, east_m=0.5 * (k % 2)) for k in range(count))
+        before, routes = Waypoints(waypoints=places, speed_mps=0.3).schedule(PAPER), Routes()
+        routes.set_zones(discs((-100.0, 0.0, 5.0)), np.ones(1))
+        routes.allowed_path(before)
+        assert CountingPoints.visits >= 16 * count
+        for north_m in (50.0, 51.5):
+            CountingPoints.visits = 0
+            routes.set_standing(np.array([[north_m, 3.0, 5.0]]))
+            after, _ = routes.allowed_path(before)
+        assert isinstance(routes.router, CountingRouter)
+        work.append((routes.router.searches, CountingPoints.visits))
         behind = divided(before.table).table[:, -100:].copy()
         behind[TIME] += after.duration_s - before.duration_s
         np.testing.assert_allclose(after.table[:, -100:], behind)
-    assert counts[0] == counts[1]
+    assert work[0][0] == work[1][0]
+    assert max(visits for _, visits in work) <= 4 * BLOCK
+
+
+@given(point, point)
+def test_columns_within_a_distance_are_those_whose_distance_is_less(
+    at: tuple[float, float], size: tuple[float, float]
+) -> None:
+    of, radius_m = divided(line(-80.0, 90.0).table), abs(size[0])
+    distance = np.hypot(*(of.points - at).T)
+    np.testing.assert_array_equal(of.within(*at, radius_m), np.flatnonzero(distance < radius_m))
 
 
 def test_the_target_takes_the_way_round_a_zone_at_the_speed_that_it_has_before_it() -> None:
@@ -86,6 +129,20 @@ def test_the_target_takes_the_way_round_a_zone_at_the_speed_that_it_has_before_i
     assert schedule.length_m == before.length_m
     assert np.all(np.diff(table[TIME]) > 0.0)
     assert np.all(np.diff(table[WAY]) > 0.0)
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.floats(0.005, 0.4), st.floats(0.01, 1.0), st.floats(0.0, 30.0), st.booleans())
+def test_a_detour_is_no_faster_and_sinks_no_faster_than_the_path(
+    speed_mps: float, rate_mps: float, depth_m: float, in_place: bool
+) -> None:
+    """The vehicle sinks on the way, or in the zone."""
+    sinks = [Place(north_m=50.0, east_m=0.0, depth_m=z) for z in (0.0, depth_m)] if in_place else []
+    ends = Place(north_m=0.0, east_m=0.0, depth_m=0.0), Place(north_m=100.0, east_m=0.0, depth_m=depth_m)
+    path = Waypoints(waypoints=(ends[0], *sinks, ends[1]), speed_mps=speed_mps, descent_rate_mps=rate_mps)
+    step_s, _, *step_m, sunk_m = np.diff(allowed_path(path.schedule(PAPER), Router(ONE, NEED))[0].table)
+    assert (np.hypot(*step_m) <= speed_mps * step_s * (1.0 + 1e-6) + 1e-6).all()
+    assert (np.abs(sunk_m) <= rate_mps * step_s * (1.0 + 1e-6) + 1e-6).all()
 
 
 @pytest.mark.parametrize("begins_m", [45.0, 45.9])

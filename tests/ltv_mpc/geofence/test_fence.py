@@ -249,15 +249,42 @@ def test_repeated_vertices_and_a_closing_position_of_another_height_are_read() -
     np.testing.assert_array_equal(zone.vertices_m, plain.vertices_m)
 
 
-def test_polygons_to_keep_out_of_are_zones_and_polygons_to_keep_in_are_their_union() -> None:
+def allowed(fence: Fence) -> Any:
+    """Return where a fence of polygons lets the vehicle be, as a shapely geometry (m)."""
+    zones = [(zone.keep_in, shapely.Polygon(zone.vertices_m)) for zone in fence.zones()]
+    inside = shapely.intersection_all([polygon for keep_in, polygon in zones if keep_in])
+    return inside - shapely.union_all([polygon for keep_in, polygon in zones if not keep_in])
+
+
+def areas_of(*rings: list[list[float]]) -> list[Any]:
+    return [shapely.Polygon(next(zones_of("keep_in", ring).zones()).vertices_m) for ring in rings]
+
+
+def test_polygons_to_keep_out_of_are_zones_of_their_own() -> None:
     out = zones_of("keep_out", square(), square(0.004)).zones()
     assert [zone.label for zone in out] == ["keep_out[0]", "keep_out[1]"]
-    for two in ((square(), square(0.002)), (square(), square(0.001, 0.0005))):
-        (zone,) = zones_of("keep_in", *two).zones()
-        union = shapely.union_all([shapely.Polygon(next(zones_of("keep_in", one).zones()).vertices_m) for one in two])
-        assert shapely.Polygon(zone.vertices_m).symmetric_difference(union).area == pytest.approx(0.0, abs=1.0)
-    with pytest.raises(ConfigError, match=r"features\[0\].geometry.coordinates: must be polygons that touch"):
-        zones_of("keep_in", square(), square(0.004))
+    with_hole = feature("keep_out", "Polygon", [square(), square(0.004)])
+    with pytest.raises(ConfigError, match=r"features\[0\].geometry.coordinates: must be one ring for keep_out"):
+        Fence.from_geojson(collection(with_hole))
+
+
+@pytest.mark.parametrize("last", [square(0.002), square(0.001, 0.0005), square(0.004), square(0.008, 0.003)])
+def test_the_polygons_of_a_keep_in_zone_are_one_area_also_apart_and_around_another(last: list[list[float]]) -> None:
+    """The third one is in the middle of the fourth, a frame of four."""
+    frame = [square(east, north) for east, north in ((-0.004, -0.002), (-0.002, -0.002), (-0.004, 0.002))]
+    for parts in ([square(), last], [square(), *frame, last]):
+        fence, right = zones_of("keep_in", *parts), shapely.union_all(areas_of(*parts))
+        assert len(fence.keep_in) == 1
+        assert allowed(fence).symmetric_difference(right).area == pytest.approx(0.0, abs=1.0)
+
+
+def test_holes_of_a_keep_in_zone_are_keep_out_zones() -> None:
+    around = [[5.31, 60.38], [5.34, 60.38], [5.34, 60.41], [5.31, 60.41], [5.31, 60.38]]
+    holes = [square(), square(0.004)]
+    fence = Fence.from_geojson(collection(feature("keep_in", "Polygon", [around, *holes], name="lake")))
+    whole, *left_out = areas_of(around, *holes)
+    assert allowed(fence).symmetric_difference(whole - shapely.union_all(left_out)).area < 1.0
+    assert [zone.label for zone in fence.zones()] == ['keep_in[0] "lake"', 'keep_out[0] "lake"', 'keep_out[1] "lake"']
 
 
 @pytest.mark.parametrize("suffix", [".toml", ".geojson"])

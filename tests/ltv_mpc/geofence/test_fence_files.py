@@ -72,19 +72,54 @@ def test_an_inclusion_circle_is_the_polygon_in_it(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.hypot(*zone.vertices_m.T), 50.0, atol=1e-3)
 
 
-def test_inclusion_zones_of_one_group_are_their_union(tmp_path: Path) -> None:
-    pytest.importorskip("shapely")
-    two = square(0.0, 0.0), square(0.0, 0.001)
-    (tmp_path / "f.plan").write_text(plan([(True, ring) for ring in two], []))
-    (zone,) = Fence.load(str(tmp_path / "f.plan")).zones()
-    assert np.ptp(zone.vertices_m[:, 1]) == pytest.approx(tangent_plane(50.2, -5.098, HOME)[1], rel=1e-4)
-    for groups, count in (((1, 1), 1), ((1, 2), 2)):
-        rows = [(5001, 4.0, group, *corner) for group, ring in zip(groups, two, strict=True) for corner in ring]
-        (tmp_path / "f.waypoints").write_text(items(*rows))
-        assert len(Fence.load(str(tmp_path / "f.waypoints"), None, HOME).keep_in) == count
-    (tmp_path / "f.plan").write_text(plan([(True, square(0.0, 0.0)), (True, square(0.01, 0.0))], []))
-    with pytest.raises(ConfigError, match="inclusion zones of group 0: must be polygons that touch"):
-        Fence.load(str(tmp_path / "f.plan"))
+LEFT, MIDDLE, RIGHT = square(0.0, 0.0), square(0.0, 0.0005), square(0.0, 0.002)
+
+
+@pytest.mark.parametrize(
+    ("groups", "width_deg"),
+    [
+        (None, 0.0025),  # a plan
+        ((0, 0, 0), 0.0025),  # a plan that QGroundControl has sent
+        ((1, 2, 3), 0.0025),
+        ((1, 1, 2), 0.0015),  # the common half of the first two, or the last one
+        ((1, 1, 1), 0.0025),  # no common area
+    ],
+)
+def test_the_vehicle_is_inside_all_inclusion_zones_of_any_group(
+    tmp_path: Path, groups: tuple[int, ...] | None, width_deg: float
+) -> None:
+    shapely = pytest.importorskip("shapely")
+    rings = (LEFT, MIDDLE, RIGHT)
+    if groups is None:
+        (tmp_path / "f.plan").write_text(plan([(True, ring) for ring in rings], []))
+    else:
+        rows = [(5001, 4.0, group, *corner) for group, ring in zip(groups, rings, strict=True) for corner in ring]
+        (tmp_path / "f.plan").with_suffix(".waypoints").write_text(items(*rows))
+    fence = Fence.load(str(tmp_path / ("f.plan" if groups is None else "f.waypoints")), None, HOME)
+    inside, *outside = (shapely.Polygon(zone.vertices_m) for zone in fence.zones())
+    area_m2 = (inside - shapely.union_all(outside)).area
+    north_m, east_m = tangent_plane(50.201, -5.1 + width_deg, HOME)
+    assert area_m2 == pytest.approx(north_m * east_m, rel=1e-3)
+
+
+def test_a_list_of_positions_is_a_return_point_and_a_closed_ring(tmp_path: Path) -> None:
+    mavwp = pytest.importorskip("pymavlink.mavwp")
+    loader, path = mavwp.MAVFenceLoader(), tmp_path / "fence.txt"
+    for latitude, longitude in (LEFT[0], *LEFT, LEFT[0]):
+        loader.add_latlon(latitude, longitude)
+    loader.save(str(path))
+    (zone,) = Fence.load(str(path), None, HOME).zones()
+    assert zone.keep_in
+    np.testing.assert_allclose(zone.vertices_m, [tangent_plane(*corner, HOME) for corner in LEFT], atol=1e-3)
+
+
+def test_what_a_fence_does_not_use_is_a_note(tmp_path: Path) -> None:
+    content = json.loads(plan([(True, LEFT)], []))
+    content["mission"]["items"], content["rallyPoints"] = [{}, {}], {"points": [[50.2, -5.1, 0.0]]}
+    (tmp_path / "f.plan").write_text(json.dumps(content))
+    notes: list[str] = []
+    Fence.load(str(tmp_path / "f.plan"), notes)
+    assert notes[0].endswith("not used are 2 items of its mission, 1 rally points")
 
 
 @pytest.mark.parametrize(

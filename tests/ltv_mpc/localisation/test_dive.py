@@ -66,12 +66,17 @@ def window(made: Dive, start_s: float, after_s: float = 300.0) -> tuple[int, int
     return start, int(np.searchsorted(made.t, made.t[start] + after_s))
 
 
+@cache
+def simulated(world: World, seed: int) -> tuple[Dive, list[BeamEnsemble], BeamNoise]:
+    made = dive(world, seed)
+    ensembles = seen(made)
+    return made, ensembles, noise_of(ensembles)
+
+
 def errors(world: World, seed: int, start_s: float, parameters: DiveParameters = PARAMETERS) -> tuple[float, ...]:
     """Return the error (m), e P^-1 e, and the error of constant velocity (m), against the simulated truth."""
-    made = dive(world, seed)
+    made, ensembles, noise = simulated(world, seed)
     a, b = window(made, start_s)
-    ensembles = seen(made)
-    noise = noise_of(ensembles)
     track = run(ensembles[a : b + 1], noise, parameters, fixes=10)
     true = made.position[b] - made.position[a]
     error, P = track.position_m[-1] - true, track.position_covariance[-1]

@@ -65,7 +65,7 @@ def test_a_route_and_a_track_written_by_gpxpy_are_the_same_path(tmp_path: Path) 
     both = gpxpy.gpx.GPX()
     both.routes, both.tracks = route.routes, track.tracks
     (tmp_path / "m.gpx").write_text(both.to_xml())
-    with pytest.raises(ConfigError, match="must have one route or track, it has 2"):
+    with pytest.raises(ConfigError, match="must have one route or track, it has 1 routes, 1 tracks, 0 waypoints"):
         references.load(str(tmp_path / "m.gpx"))
 
 
@@ -137,6 +137,48 @@ def test_speeds_waits_and_the_way_back_of_a_mission_are_those_of_its_waypoints(t
     assert [(place.latitude_deg, place.longitude_deg) for place in read.waypoints] == at
     assert [place.wait_s for place in read.waypoints] == [0.0, 20.0, 0.0, 0.0, 0.0]
     assert [place.speed_mps for place in read.waypoints] == [None, None, 1.2, None, None]
+
+
+def feature(kind: str, coordinates: object, **properties: object) -> dict[str, object]:
+    return {"type": "Feature", "properties": properties, "geometry": {"type": kind, "coordinates": coordinates}}
+
+
+def test_what_a_file_holds_beside_its_path_is_a_note(tmp_path: Path) -> None:
+    fence = {"polygons": [{"inclusion": True, "polygon": []}], "circles": [{}]}
+    content = json.loads(plan(*(simple(k, 16, 0, 0, 0, None, *place, 50) for k, place in enumerate(PLACES[:2], 1))))
+    (tmp_path / "m.plan").write_text(json.dumps(content | {"geoFence": fence, "rallyPoints": {"points": [[]]}}))
+    lists = [mission("3 16 0 0 0 0 50.2002 -5.1 7", "3 16 0 0 0 0 50.2 -5.1002 0") + "\n# pymavlink writes comments"]
+    lists.append(lists[0].replace("0 16 0 0 0 0 50.2 -5.1 0", "0 16 0 0 0 0 0 0 0"))  # its home is not known
+    (tmp_path / "m.txt").write_text(lists[0])
+    (tmp_path / "m.waypoints").write_text(lists[1])
+    features = [feature("Polygon", [], zone="keep_in"), feature("Point", [-5.1, 50.2])]
+    features.append(feature("LineString", [[-5.1, 50.2, 3.0], [-5.1, 50.201]]))
+    crs = {"type": "name", "properties": {"name": "EPSG:4258"}}
+    (tmp_path / "m.json").write_text(json.dumps({"type": "FeatureCollection", "features": features, "crs": crs}))
+    for name, says in (
+        ("m.plan", "2 zones of its geofence, 1 rally points, 2 altitudes"),
+        ("m.txt", "1 altitudes"),
+        ("m.waypoints", "1 altitudes"),
+        ("m.json", "1 zones of a fence, 1 points beside it, 1 heights"),
+    ):
+        notes: list[str] = []
+        read = references.load(str(tmp_path / name), notes)
+        assert isinstance(read, Waypoints)
+        assert len(read.waypoints) == 2
+        assert notes[-1].endswith(f"{name}: not used are {says}")
+        assert len(notes) == 1 + (name == "m.json")
+
+
+def test_waypoints_and_heights_of_gpx_beside_the_path_are_a_note(tmp_path: Path) -> None:
+    gpxpy = pytest.importorskip("gpxpy")
+    gpx = gpxpy.gpx.GPX()
+    gpx.routes.append(gpxpy.gpx.GPXRoute())
+    gpx.routes[0].points = [gpxpy.gpx.GPXRoutePoint(at, on, elevation=7.0) for at, on in PLACES]
+    gpx.waypoints.append(gpxpy.gpx.GPXWaypoint(*PLACES[0]))
+    (tmp_path / "m.gpx").write_text(gpx.to_xml())
+    notes: list[str] = []
+    references.load(str(tmp_path / "m.gpx"), notes)
+    assert notes[0].endswith("m.gpx: not used are 1 waypoints beside it, 4 elevations")
 
 
 ELSEWHERE = "50.2 -5 0"

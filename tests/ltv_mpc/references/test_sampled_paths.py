@@ -70,6 +70,8 @@ def test_a_circle_of_waypoints_takes_as_long_as_the_circle(radius_m, count):
     [
         *(("circle", 20_000), ("circle", 361), ("figure of eight", 2_000), ("figure of eight", 361)),
         *(("random curve", 361), ("random curve", 20_000), ("lawnmower", 361), ("lawnmower", 2_000)),
+        *(("circle", 24), ("figure of eight", 24), ("random curve", 24), ("lawnmower", 24)),
+        *(("circle", 36), ("figure of eight", 60), ("random curve", 48), ("lawnmower", 48), ("lawnmower", 90)),
     ],
 )
 def test_lap_time_and_path_do_not_depend_on_noise_and_number_of_points(curve, count):
@@ -78,8 +80,31 @@ def test_lap_time_and_path_do_not_depend_on_noise_and_number_of_points(curve, co
     assert off_curve_m(PATHS[curve], exact.table[[NORTH, EAST]].T) < 0.02
     for noise_m in (0.0, 0.5 * NOISE_M, NOISE_M):
         schedule = waypoints(samples(CURVES[curve], count, noise_m), speed_mps).schedule(vehicle)
-        assert schedule.duration_s == pytest.approx(exact.duration_s, rel=0.035)
-        assert off_curve_m(PATHS[curve], schedule.table[[NORTH, EAST]].T) < 0.02 + noise_m
+        assert schedule.duration_s == pytest.approx(exact.duration_s, rel=0.03)
+        # Of 24 points those of the figure of eight are 2 m apart where its radius is 2 m.
+        off_m = 0.022 if count > 24 else 0.055
+        assert off_curve_m(PATHS[curve], schedule.table[[NORTH, EAST]].T) < off_m + 1.5 * noise_m
+
+
+def test_sparse_points_that_turn_evenly_are_samples_of_a_curve_that_stays_near_their_lines():
+    points = samples(CURVES["figure of eight"], 36)
+    (note, *_), path = waypoints(points, 0.4).notes(PAPER), waypoints(points, 0.4).path()
+    assert note.startswith("waypoints that turn evenly are samples of a curve: the path through them is up to 0.1")
+    assert off_curve_m(path.points, points) < 0.02
+    assert not waypoints(points, 0.4, corner_m=0.0).notes(PAPER)[0].startswith("waypoints that turn evenly")
+    wide = waypoints(50.0 * points, 0.4)._fit()[1]
+    assert wide.curve_m < 0.4
+    hexagon = 3.0 * np.column_stack([np.cos(ANGLE), np.sin(ANGLE)])[:: len(ANGLE) // 6]
+    np.testing.assert_allclose(waypoints(hexagon, 0.4)._fit()[1].ends[:, :2], hexagon, atol=1e-9)
+
+
+@pytest.mark.parametrize("beside", [(0.05, 0.0), (-0.05, 0.03), (0.0, -0.06)])
+def test_a_corner_and_a_goal_that_are_doubled_within_centimetres_are_one(beside):
+    corners = np.array([[0.0, 0.0], [20.0, 0.0], [20.0, 20.0]])
+    once = waypoints(corners, 0.4).schedule(PAPER)
+    doubled = waypoints(np.insert(corners, [2, 3], corners[[1, 2]] + beside, axis=0), 0.4)
+    assert doubled.schedule(PAPER).duration_s == pytest.approx(once.duration_s, rel=0.01)
+    assert off_curve_m(once.table[[NORTH, EAST]].T, doubled.path().points) < 0.07
 
 
 def off_circle_m(reference: Reference, radius_m: float) -> float:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import json
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -10,8 +12,17 @@ import pytest
 from ltv_mpc import Vehicle
 from ltv_mpc.vehicle import parameters
 from services.cli.app import run
+from services.tools import vehicle_check
 
 PAPER = (Path(parameters.__file__).parent / "files" / "paper.toml").read_text()
+
+
+@pytest.fixture(autouse=True, scope="module")
+def check_of_a_vehicle_once() -> Iterator[None]:
+    """Compute what of a check depends on the vehicle alone once for each."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(vehicle_check, "check", functools.cache(vehicle_check.check))
+        yield
 
 
 @pytest.fixture(autouse=True)

@@ -58,4 +58,4 @@ def test_it_shows_what_a_bus_carries(options: tuple[str, ...], said: str) -> Non
             return said in line
 
         shown = watching.until(is_said)
-    assert "depth 7.2 m" in shown or not options
+    assert "depth 7.25 m" in shown or not options

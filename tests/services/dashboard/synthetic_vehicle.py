@@ -32,6 +32,7 @@ from services.bus.wire import decode
 from services.dashboard import page, serve
 from services.dashboard.access_guard import LOOPBACK, Token, hosts
 from services.dashboard.bus_feed import BusFeed
+from services.dashboard.commands import do
 from services.dashboard.config import About, View
 from services.recording.node_settings import vehicle_of
 from services.runtime.clock import fraction_of, monotonic_us
@@ -175,7 +176,7 @@ def serving(feed: BusFeed, bus: BusOptions) -> Iterator[Served]:
             token,
             allowed=hosts(LOOPBACK, port),
             about=About(name="synthetic descent · paper", report=str(report), again="ltv-mpc sim one"),
-            command=page.commander(bus),
+            command=lambda request, t_ns, speed: do(request, bus, t_ns, speed),
             on_view=views.append,
         )
         server = uvicorn.Server(serve.configuration(app))

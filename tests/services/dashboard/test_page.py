@@ -278,9 +278,10 @@ def test_buttons_send_what_they_say_and_show_the_controller_s_answer(page: Serve
     with stream(page) as socket:
         until(lambda: feed.status().simulated)
         answer = pressed(page, socket, button="stop")
-        assert (answer["done"], answer["text"]) == (True, "stop accepted; command authority: controller")
+        assert (answer["done"], answer["text"]) == (True, "stop: accepted; command authority: controller")
         refused = pressed(page, socket, button="hold")
-        assert (refused["done"], refused["text"]) == (False, "hold rejected: nothing to hold")
+        assert not refused["done"]
+        assert refused["text"] == "hold: rejected: nothing to hold; command authority: controller"
         assert pressed(page, socket, button="kill", node="estimator")["done"]
         assert pressed(page, socket, button="kick")["done"]
         asked_s = feed.status().t_s

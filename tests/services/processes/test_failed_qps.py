@@ -10,9 +10,9 @@ import pytest
 
 from ltv_mpc.control.config import Weights
 from ltv_mpc.control.failed_qp import NamedQp, row_names
-from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import linearise
 from ltv_mpc.control.ocp.assembly import problem_along, scales
+from ltv_mpc.control.problem_data import Constants
 from ltv_mpc.control.solvers.sparse import SparseLayout
 from ltv_mpc.messages import Solve, SolveStatus
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -24,12 +24,11 @@ from services.processes.controller import FailedQps
 def failure():
     """Return what makes a failed QP, of a vehicle at rest 5 m from its point: it wants more than the slew limit."""
     vehicle = Vehicle.load("paper")
-    limits = HorizonLimits.from_vehicle(vehicle, 0.3)
     lin = linearise(np.zeros((6, 8)), np.zeros((6, 2)), np.zeros((6, 2)), 0.3, vehicle.coefficients())
     target = np.array([[5.0, 0.0]] * 5 + [[0.0, 0.0]])
-    problem = problem_along(lin, target, np.arange(6.0), limits, Weights())
+    problem = problem_along(lin, target, Constants.of(vehicle, Weights(), np.arange(6.0)))
     layout = SparseLayout(problem)
-    qp, rows = layout.assemble(layout.filled(problem)), row_names(layout, scales(limits))
+    qp, rows = layout.assemble(layout.filled(problem)), row_names(layout, scales(vehicle))
     solve = Solve(status=SolveStatus.ITERATION_LIMIT, iterations=400, why="slew of port in stage 2 violated by 3 N")
     return lambda: NamedQp(qp, rows, solve)
 

@@ -33,10 +33,10 @@ warm_up(vehicle, reference, config)
 before = compiled()
 fails = False
 class Failing(RecordingSolver):
-    def solve(self):
+    def solve(self, *problem, last=True):
         if fails:
             raise RuntimeError("as asked")
-        return super().solve()
+        return super().solve(*problem, last=last)
 controller = Controller(vehicle, reference, config, make_solver=lambda *settings: Failing(make(*settings)))
 z = np.arange(40.0)
 water = CurrentProfile(depth_m=z, north_mps=0.05 * np.sin(z), east_mps=0.05 * np.cos(z))
@@ -66,8 +66,8 @@ for k in range(20):
     origins.add(controller.plan(estimate, t_ns=estimate.t_ns + k).origin)
 assert set(PlanOrigin) - origins == {PlanOrigin.MANUAL}, origins
 class Unsolved(RecordingSolver):
-    def solve(self):
-        return super().solve()._replace(solve=Solve(status=SolveStatus.FAILED))
+    def solve(self, *problem, last=True):
+        return super().solve(*problem, last=last)._replace(solve=Solve(status=SolveStatus.FAILED))
 recorder = QpRecorder(lambda *settings: Unsolved(make(*settings)))
 unsolved = Controller(vehicle, references.Point(north_m=0.0, east_m=0.0), config, make_solver=recorder)
 unsolved.plan(Estimate.at_rest(north_m=2.0, heading_rad=2.0))

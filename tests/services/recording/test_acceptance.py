@@ -65,6 +65,10 @@ ATTACKS: dict[str, Attack] = {
         frame("event/x", RunEvent(t_ns=t, node="supervisor", kind="fault", text=""), sequence=k),
         frame("rejected/x", REJECTED, sequence=k),
     ],
+    "messages of a program beside the run, of which some are missing": lambda t, k: [
+        frame(f"event/{node}", RunEvent(t_ns=t, node=node, kind="", text=""), sequence=2 * k)
+        for node in ("x", "display")
+    ],
     "a frame without a message": lambda *_: [
         (key, kind, {"epoch": 5, "sequence": 0})
         for key, kind in (("rejected/x", RejectedFrame), ("status/x", NodeStatus), ("plan", Plan), ("applied", Applied))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 import struct
 import zlib
 from pathlib import Path
@@ -17,7 +18,7 @@ from ltv_mpc.errors import ConfigError
 from services.cli.app import run
 from services.recording import recover
 from services.recording.reader import Recording
-from services.recording.records import MAGIC, MAX_CHUNK_BYTES, Records
+from services.recording.records import LARGE_BYTES, MAGIC, Records
 from services.recording.recover import Recovery, recovered_path, segments
 from tests.services.recording.recordings import START_NS, depth, write_depths
 
@@ -167,16 +168,16 @@ def text(value: bytes) -> bytes:
 
 CHANNEL = record(4, struct.pack("<HH", 1, 0) + text(b"k") + text(b"json") + struct.pack("<I", 0))
 MESSAGE = record(5, struct.pack("<HIQQ", 1, 0, 5, 5) + b"{}")
-BOMB = zstandard.ZstdCompressor().compress(bytes(MAX_CHUNK_BYTES + 1))
+BOMB = zstandard.ZstdCompressor().compress(bytes(LARGE_BYTES + 1))
 
 
 @pytest.mark.parametrize(
     ("content", "why"),
     [
         (record(5, b"", claimed=2**62), "cut in a record of 4611686018427387904 bytes"),
-        (chunk(b"", size=2**50), "at most"),
+        (chunk(b"", size=2**50), "more than 20 times as many"),
         (chunk(b"", size=100, compressed=BOMB), "too many bytes"),
-        (chunk(bytes(MAX_CHUNK_BYTES)), "more than 200 times as many"),  # it would be read for seconds
+        (chunk(bytes(LARGE_BYTES)), "more than 200 times as many"),  # it would be read for seconds
         (chunk(b"", size=100, compressed=b"rubbish"), "chunk"),
         (chunk(CHANNEL + bytes(90)), "a record type that a chunk cannot hold"),  # millions would be read for seconds
         (chunk(CHANNEL + MESSAGE[:-1]), "chunk"),
@@ -202,6 +203,15 @@ def test_an_lz4_frame_grows_to_the_size_that_its_chunk_claims_and_no_further(tmp
     bomb = lz4.frame.compress(CHANNEL + MESSAGE * 100_000, store_size=False)
     (path := tmp_path / "run.mcap").write_bytes(MAGIC + chunk(CHANNEL, compressed=bomb, by=b"lz4"))
     assert [type(found).__name__ for found in Records(path)] == ["Channel"]
+
+
+def test_a_whole_recording_may_be_one_chunk(tmp_path: Path) -> None:
+    content = random.Random(1).randbytes(LARGE_BYTES)
+    message = record(5, struct.pack("<HIQQ", 1, 0, 5, 5) + content)
+    (path := tmp_path / "run.mcap").write_bytes(MAGIC + chunk(CHANNEL + message, compressed=CHANNEL + message, by=b""))
+    records = Records(path)
+    assert [type(found).__name__ for found in records] == ["Channel", "Message"]
+    assert not records.losses
 
 
 @pytest.mark.parametrize("how", [{"compression": CompressionType.LZ4}, {"chunk_size": 1 << 26}])

@@ -11,7 +11,7 @@ import msgspec
 from services.bus import wire
 from services.recording.reader import Recording, StoredMessage
 from services.recording.writer import RunWriter
-from services.replay.replay import metadata_of
+from services.replay.nodes import metadata_of
 
 Plain = dict[str, Any]
 

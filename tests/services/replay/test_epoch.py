@@ -35,9 +35,9 @@ def test_used_and_old_frames_are_discarded() -> None:
         frames.add(*depth(at), at)
     third = entry(*depth(3))
     assert frames.find(third) is not None
-    frames.discard_through(third)
+    frames.discard(third)
     assert frames.find(third) is None
-    assert len(frames) == 6
+    assert len(frames) == 9
     frames.discard_before(8)
     assert len(frames) == 2
     assert frames.find(entry(*depth(9))) is not None

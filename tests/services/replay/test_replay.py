@@ -180,7 +180,7 @@ def test_steps_known_only_from_the_process_report_are_run_and_not_compared(recor
 
 
 def test_provenance_differences_of_another_machine_are_reported(recording: Path, tmp_path: Path) -> None:
-    metadata = dict(engine.metadata_of(recording))
+    metadata = dict(engine.Run(recording).metadata)
     metadata["scenario.toml"] = metadata["scenario.toml"].replace(provenance_table()["processor"], "Motorola 6502")
     out = rewritten(recording, tmp_path / "run.mcap", lambda _, plain: [plain], metadata=metadata)
     verdict = replayed(out, only="controller")

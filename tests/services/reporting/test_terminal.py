@@ -11,11 +11,11 @@ import pytest
 from msgspec.structs import replace
 from rich.console import Console
 
-from ltv_mpc.messages import Authority, ControllerStatus, FilterStatus, Health, NodeStatus, PlanOrigin, SensorStatus
+from ltv_mpc.messages import Authority, FilterStatus, Health, NodeStatus, PlanOrigin, SensorStatus
 from services.reporting.plots.collector import Collector
 from services.reporting.terminal import RunScreen, bar, is_plain, observe, progress_bar
 from services.supervisor.screen import ORDER, LiveView
-from tests.services.bus.messages import EXAMPLES
+from tests.services import controller_status
 from tests.services.reporting import synthetic_run
 from tests.services.reporting.synthetic_run import S
 from tests.services.words import status
@@ -33,7 +33,7 @@ def long_status(node: str) -> NodeStatus:
 
 
 CONTROLLER = replace(
-    next(message for message in EXAMPLES if isinstance(message, ControllerStatus)),
+    controller_status.status(),
     **{"authority": Authority.CONTROLLER, "health": Health.DEGRADED, "progress": 0.62},
     health_why="the estimates are too old",
 )
@@ -148,7 +148,7 @@ def test_a_pipe_gets_lines_without_control_characters(monkeypatch: pytest.Monkey
     screen.say("[bold]a phase")
     screen.close()
     first, second = file.getvalue().splitlines()
-    assert "depth 1234.5 m" in first
+    assert "depth 1234.50 m" in first
     assert first.isprintable()
     assert "plant waits for sensors" in first
     assert second == "[bold]a phase"

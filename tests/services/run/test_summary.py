@@ -11,9 +11,11 @@ from ltv_mpc.messages import CycleTiming, Estimate, NodeStatus, PressureDepth, R
 from services.bus import wire
 from services.recording.writer import RunWriter
 from services.run.run_config import Override, resolve
-from services.run.summary import summarise_recording
+from services.run.summary import GrowingSummary, summarise_recording
 from sim.evaluation.summary import Messages, Summary
+from tests.services.recording.recordings import write_depths
 from tests.services.words import status
+from tests.waiting import until
 
 ESTIMATE = Estimate.at_rest()
 REJECTED = RejectedFrame(t_ns=0, node="estimator", key="sensor/depth", reason="range", crc=0, payload_base64="")
@@ -82,3 +84,18 @@ def test_times_are_in_vehicle_and_in_wall_seconds_and_stages_in_wall_microsecond
 def test_a_run_that_never_began_has_no_errors_and_no_duration(summary: Summary) -> None:
     assert (summary.mode, summary.duration_s, summary.cycles) == ("services", 0.0, 0)
     assert summary.true_error_m.mean is None
+
+
+def test_what_is_written_is_read_beside_it_and_a_file_without_an_end_is_left_to_its_recovery(tmp_path: Path) -> None:
+    run_config, path, whole = resolve("descent"), tmp_path / "run.mcap", write_depths(tmp_path / "whole", range(2000))
+    content, at_once = whole.read_bytes(), []
+    half = len(content) // 2
+    path.write_bytes(content[:half])
+    growing, cut = GrowingSummary(run_config, path), GrowingSummary(run_config, path)
+    records = growing._recording.records
+    until(lambda: records.position > half // 2)
+    assert cut.result(at_once.append) is None
+    with path.open("ab") as file:
+        file.write(content[half:])
+    assert growing.result(at_once.append) == summarise_recording(run_config, whole)
+    assert 0.0 < min(at_once) <= max(at_once) <= 1.0

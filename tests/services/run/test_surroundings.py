@@ -13,11 +13,13 @@ from ltv_mpc.errors import ConfigError
 from ltv_mpc.geofence.fence import Disc
 from ltv_mpc.references.geodesy import Place
 from services.bus.options import BusOptions
+from services.bus.wire import Header
 from services.cli.app import run as command
 from services.processes import controller
 from services.recording.reader import Recording
+from services.recording.writer import RunWriter
 from services.replay import replay
-from services.replay.nodes import RecordedNodes
+from services.replay.nodes import Run
 from services.run import folder
 from services.run.run_config import Override, resolve
 from services.run.settings_files import controller_files, node_settings
@@ -80,11 +82,13 @@ def test_a_scenario_file_names_a_bathymetry_in_its_own_folder(tmp_path: Path, bo
     assert resolve(str(tmp_path / "mine.toml")).bathymetry is not None
 
 
-def test_the_settings_that_a_controller_publishes_have_its_bathymetry(bottom: Path) -> None:
+def test_the_settings_that_a_controller_publishes_have_its_bathymetry(bottom: Path, tmp_path: Path) -> None:
     settings = ControllerConfig(limits=MotionLimits(min_altitude_m=3.0))
     published = node_settings("controller", controller_files("paper", "square", "", str(bottom), settings))
     assert published is not None
-    node = RecordedNodes("test", {"controller": {1: published}}, (0, 0)).make("controller", 1)
+    with RunWriter(tmp_path / "run.mcap", start_ns=0, metadata={}) as writer:
+        writer.write("controller", published, Header(epoch=1, sequence=0), 0)
+    node = Run(tmp_path / "run.mcap").make("controller", 1)
     assert isinstance(node, ControllerNode)
     assert node.controller.bathymetry is not None
 

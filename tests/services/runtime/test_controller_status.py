@@ -147,6 +147,14 @@ def test_plans_inputs_and_statuses_reach_the_changes(node: ControllerNode) -> No
     ]
 
 
+def test_a_status_is_due_at_once_when_a_plan_has_another_reason_of_its_health(node: ControllerNode) -> None:
+    report, degraded = ControllerStatusReporter(node), msgspec.structs.replace(PLAN, health_why="not driving: why")
+    for one, due in ((PLAN, True), (PLAN, False), (degraded, True), (degraded, False), (PLAN, True)):
+        report.status(S, 0, MessageValidator(), SHARED)
+        report.on_step([one], 1, S)
+        assert (report.due_us <= S) is due
+
+
 def test_an_action_of_the_mission_policy_is_an_event_and_a_field_of_the_status() -> None:
     config = ControllerConfig(mission=MissionSettings(leak=True))
     node = ControllerNode(Vehicle.load("paper"), references.load("hover"), config)

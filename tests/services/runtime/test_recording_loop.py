@@ -13,6 +13,7 @@ from typing import Any
 
 import msgpack
 import pytest
+from msgspec.structs import replace
 
 from ltv_mpc.messages import (
     Clock,
@@ -34,10 +35,10 @@ from services.recording.segments import SegmentWriter
 from services.recording.writer import RunWriter
 from services.runtime import recording_loop
 from services.runtime.clock import monotonic_us
+from services.runtime.lifeline import Lifeline
 from services.runtime.publication_time import FOLLOWS_HOST
 from services.runtime.recording_loop import BEGAN_BEFORE, RecordingLoop
 from services.runtime.stopping import StopRequest
-from services.runtime.supervisor_link import SupervisorLink
 from tests.services.words import running_clock, status
 from tests.waiting import until
 
@@ -203,8 +204,19 @@ def test_a_late_recorder_counts_no_loss_and_reports_what_cannot_be_replayed(tmp_
     assert said[-1].endswith("messages recorded, lost: 1 on sensor/depth")
 
 
-class Watched(SupervisorLink):
-    """Link that notes at each heartbeat how many frames the loop has rejected so far."""
+def test_what_another_or_an_unknown_name_says_it_has_published_is_no_loss(tmp_path: Path, free_port: int) -> None:
+    said: list[str] = []
+
+    def say(out: Outbox, _: object) -> None:
+        out.publish(running_clock(monotonic_us(), epoch=EPOCH))
+        out.publish(replace(status("sensors"), finished=True, published=50))  # on the key of the plant
+
+    record(tmp_path / "run.mcap", free_port, say, said=said.append)
+    assert said[-1].endswith("none lost")
+
+
+class Watched(Lifeline):
+    """Lifeline that notes at each heartbeat how many frames the loop has rejected so far."""
 
     loop: RecordingLoop
 
@@ -222,7 +234,7 @@ def test_a_flood_neither_stops_the_heartbeats_nor_the_recorder_and_is_answered_w
 ) -> None:
     """Frames of an unknown key and messages arrive faster than they are written, and go on after the stop request."""
     link, ended, said = Watched(), threading.Event(), list[str]()
-    monkeypatch.setattr(recording_loop, "SUPERVISOR_LINK", link)
+    monkeypatch.setattr(recording_loop, "LIFELINE", link)
 
     def pour() -> None:
         sequence = 0

@@ -10,8 +10,8 @@ import pytest
 from ltv_mpc.messages import Acknowledgement, Authority, ControllerState, Estimate, InboxEntry, Message, StepRecord
 from services.bus.outbox import Outbox
 from services.bus.wire import Header, encode
+from services.runtime.lifeline import LIFELINE
 from services.runtime.node_io import NodeIO
-from services.runtime.supervisor_link import SUPERVISOR_LINK
 from tests.services.bus.messages import CONTROLLER_STATE
 
 STOPPED = ControllerState(t_ns=5, authority=Authority.STOPPED)
@@ -69,7 +69,7 @@ def test_the_supervisor_s_state_is_the_first_message_as_it_was_given(monkeypatch
     io.restore_state(7, 8, own_clock=False)
     assert io.take_inbox(7, "cycle") == []  # it has given none
     given = encode(CONTROLLER_STATE, Header(epoch=0, sequence=0))
-    monkeypatch.setattr(SUPERVISOR_LINK, "state", given)
+    monkeypatch.setattr(LIFELINE, "state", given)
     io.restore_state(7, 8, own_clock=False)
     (arrival,) = io.take_inbox(7, "cycle")
     assert encode(arrival.message, Header(epoch=0, sequence=0)) == given

@@ -23,7 +23,7 @@ from tests.waiting import until
 QUICK = """
 import re, sys, time, types
 import msgspec
-from services.runtime.supervisor_link import SUPERVISOR_LINK
+from services.runtime.lifeline import LIFELINE
 from services.supervisor import entry_point, forkserver
 
 class Config(msgspec.Struct):
@@ -33,7 +33,7 @@ class Config(msgspec.Struct):
 def main(config):
     '''In the place of a node: what its config asks for.'''
     print(config.task, flush=True)
-    SUPERVISOR_LINK.beat(time.monotonic_ns() // 1000)
+    LIFELINE.beat(time.monotonic_ns() // 1000)
     match config.task:
         case "exits":
             return config.code
@@ -86,7 +86,7 @@ def started(crew: ChildProcesses, name: str, task: str, code: int | str = 0) -> 
 
     def began() -> bool:
         child.read_heartbeats()
-        return bool(child.last_lines()) and (child.hang_detector.last_s is not None or child.pipe_closed)
+        return bool(child.last_lines()) and (child.hang_detector.last_s is not None or child.exit_code() is not None)
 
     until(began)
     return child
@@ -105,14 +105,10 @@ def test_a_child_has_its_own_exit_code_and_log(
     crew: ChildProcesses, forked: bool, task: str, code: int | str, exit_code: int, last: str
 ) -> None:
     if not forked:
-        crew.forks._end()
+        crew.forks._end(crew.forks._servers[0])
     child = started(crew, "plant", task, code)
 
-    def ended() -> bool:
-        child.read_heartbeats()
-        return child.pipe_closed
-
-    until(ended)
+    until(lambda: child.exit_code() is not None)
     assert child.exit_code() == exit_code
     assert child.last_lines()[-1] == last
 
@@ -122,7 +118,7 @@ def test_a_child_belongs_to_the_supervisor_and_its_group_is_that_of_the_cleanup(
     crew: ChildProcesses, cleanup: OrphanCleanup, forked: bool
 ) -> None:
     if not forked:
-        crew.forks._end()
+        crew.forks._end(crew.forks._servers[0])
     child = started(crew, "plant", "sleeps")
     assert stat(child.pid)[1:3] == [str(os.getpid()), str(cleanup.group)]
     assert Path(f"/proc/{child.pid}/comm").read_text() == "ltv-plant\n"
@@ -151,12 +147,29 @@ def test_a_fork_server_that_fails_kills_no_child_and_is_replaced(crew: ChildProc
     until(lambda: not {first, spawned} & children_of(os.getpid()).keys())
 
 
+@pytest.mark.parametrize("number", [signal.SIGSTOP, signal.SIGKILL])
+def test_its_spare_forks_in_its_place_and_makes_another_spare(crew: ChildProcesses, number: signal.Signals) -> None:
+    """The children of both are adopted, in the group of the cleanup."""
+    for _ in range(2):
+        crew.forks.load()
+        first, spare = (server.pid for server in crew.forks._servers)
+        os.kill(first, number)
+        plant = started(crew, "plant", "sleeps")
+        assert crew.forks.pid == spare
+        assert crew.forks.is_loaded()
+        assert "forkserver.main()" in children_of(os.getpid())[plant.pid]
+        assert stat(plant.pid)[1] == str(os.getpid())
+        assert first not in children_of(os.getpid())
+        plant.kill()
+
+
 def test_what_a_slow_fork_server_forks_too_late_ends_and_takes_nothing_from_the_other_child(
     crew: ChildProcesses, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     late: list[int | None] = []
-    reply = crew.forks._reply
-    monkeypatch.setattr(crew.forks, "_reply", lambda timeout_s: late.append(reply(10.0)) if timeout_s else reply(0.0))
+    (server,) = crew.forks._servers
+    reply = server.reply
+    monkeypatch.setattr(server, "reply", lambda timeout_s: late.append(reply(10.0)) if timeout_s else reply(0.0))
     child = started(crew, "plant", "sleeps")
     assert late != [child.pid]
     until(lambda: not alive(late[0] or 0))

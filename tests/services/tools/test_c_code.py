@@ -65,7 +65,7 @@ def test_the_compiled_code_gives_the_controller_s_thrusts(
 def test_a_problem_that_is_not_solved_is_not_exported(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def broken(_: RecordingSolver) -> Result:
+    def broken(*_: object, **__: object) -> Result:
         raise ValueError("as asked")
 
     monkeypatch.setattr(RecordingSolver, "solve", broken)

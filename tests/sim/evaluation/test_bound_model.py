@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from ltv_mpc.frames import GRAVITY_MPS2, earth_rate, rotation, rotation_exp
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.sensor_config import SensorConfig
+from ltv_mpc.localisation.sensors.adcp import beam_directions
 from sim.evaluation.cramer_rao_bound.model import (
     ACCELEROMETER_BIAS,
     ATTITUDE,
@@ -24,7 +25,7 @@ from sim.evaluation.cramer_rao_bound.model import (
     ErrorModel,
     Instant,
 )
-from sim.sensors.adcp import Transducer, beam_velocities, beams
+from sim.sensors.adcp import Transducer, beam_velocities
 from sim.water.column import WaterSample
 
 PAPER, REALISTIC = SensorConfig.load("paper"), SensorConfig.load("realistic")
@@ -109,7 +110,7 @@ def test_what_a_ping_says_of_each_error_is_the_change_of_the_simulated_beams():
             R=turned,
             rate_radps=np.zeros(3),
             lever_m=np.array(adcp.lever_arm_m),
-            beams=np.ascontiguousarray(beams(adcp.beam_angle_rad) @ M.T),
+            beams=np.ascontiguousarray(beam_directions(adcp.beam_angle_rad) @ M.T),
         )
         b = beam_velocities(transducer, ranges, WaterSample(depths, column, column, 0.0))
         biases = e[BEAM_BIAS][:, None] + e[NEAR_BIAS][:, None] * np.exp(-ranges / adcp.near_bias_length_m)

@@ -92,12 +92,6 @@ def test_extreme_settings_end_and_stay_finite(bound, cell, length):
     assert np.abs(series).max() <= bound
 
 
-def test_the_cells_reach_the_deepest_and_no_further_than_needed():
-    assert markov.depths(70.0, 1.0).tolist() == list(range(71))
-    assert markov.depths(70.0, 0.1)[-1] == pytest.approx(70.0)
-    assert markov.depths(70.5, 1.0)[-1] == 71.0
-
-
 def test_without_a_current_the_water_stands():
     water = make(Water(sd_mps=0.0), 3)
     assert water.at(12.3, 0) == (0.0, 0.0)

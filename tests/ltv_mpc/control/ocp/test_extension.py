@@ -9,10 +9,9 @@ import pytest
 from ltv_mpc import Controller, ControllerConfig, Estimate, Limit, Motion, Term, Vehicle, references
 from ltv_mpc.control.ocp import assembly, limits
 from ltv_mpc.control.ocp.extension import Extensions
-from ltv_mpc.control.problem_data import pack_objective
 from ltv_mpc.messages import Array, PlanOrigin
 from tests.ltv_mpc.control.flights import fly
-from tests.ltv_mpc.control.problems import LIMITS, SOLVER_NAMES, Form, motion
+from tests.ltv_mpc.control.problems import SOLVER_NAMES, Form, motion
 
 PAPER = Vehicle.load("paper")
 POINT = references.Point(north_m=20.0, east_m=3.0)
@@ -90,12 +89,12 @@ def test_slopes_and_cost_belong_together(term: Term | Limit) -> None:
     N = 5
     form, (lin, target) = Form(np.arange(N + 1.0)), motion(1, N)
     wanted = np.column_stack([target, np.zeros(N + 1)])
-    scale = assembly.scales(LIMITS)[:10]
-    of = Extensions([term], np.ones(N), scale, wanted)
+    scale = assembly.scales(PAPER)[:10]
+    of = Extensions([term], np.ones(N), wanted)
     p = assembly.empty(N, of.rows)
-    assembly.fill(pack_objective(form.knots, LIMITS, form.weights), lin, wanted, p)
+    assembly.fill(form.constants, lin, wanted, p)
     before = p.h.copy()
-    of.add(p, limits.ROWS, lin.X, lin.U)
+    of.add(p, limits.ROWS, lin.X, lin.U, scale)
     z, h = np.random.default_rng(0).normal(size=(N + 1, 12)), 1e-6
 
     def along(step: float) -> Motion:

@@ -19,11 +19,10 @@ from ltv_mpc.control.fence_clearance import (
     fence_cost,
     surplus_m,
 )
-from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import Linearisation
 from ltv_mpc.control.ocp import assembly, fence
 from ltv_mpc.control.ocp.fence import CORRIDOR_ROWS
-from ltv_mpc.control.problem_data import pack_constants, unpack_constants
+from ltv_mpc.control.problem_data import Constants
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.solvers import make
 from ltv_mpc.geofence.allowed_path import NO_ZONES
@@ -32,7 +31,7 @@ from ltv_mpc.geofence.half_planes import ROWS
 from ltv_mpc.geofence.zones import pack_zones
 from ltv_mpc.messages import Array, SolveStatus
 from tests.ltv_mpc.control.fence_scenes import SMALL, STAGES, scene
-from tests.ltv_mpc.control.problems import PAPER, SOLVER_NAMES, Form, equidistant, motion, solved
+from tests.ltv_mpc.control.problems import LIMITS, PAPER, SOLVER_NAMES, Form, answer, equidistant, motion
 from tests.ltv_mpc.geofence.shapes import disc
 
 N, M = STAGES, 3
@@ -61,7 +60,7 @@ def problem(seed: int, distance: float) -> tuple[Linearisation, Array, Array]:
 
 def form() -> Form:
     config = settled(settings(), PAPER)
-    return Form(equidistant(N), HorizonLimits.from_vehicle(PAPER, 0.3), config.weights)
+    return Form(equidistant(N), LIMITS, config.weights)
 
 
 @pytest.mark.parametrize("solver", SOLVER_NAMES)
@@ -69,7 +68,7 @@ def test_every_solver_has_them(solver: str) -> None:
     of, active = form(), 0
     for seed in range(8):
         lin, target, rows = problem(seed, 0.05)
-        commands, solve = solved(make(PAPER, settings(solver)), of, lin, target, rows)
+        commands, solve = answer(make(PAPER, settings(solver)), of, lin, target, rows=rows)
         best = of.optimum(lin, target, rows)
         assert solve.status is SolveStatus.SOLVED, solve.why
         np.testing.assert_allclose(commands, best, atol=0.1)
@@ -88,7 +87,7 @@ def test_two_walls_that_leave_no_room_between_them_are_no_hard_problem(solver: s
         rows[:, :2, 2] += overlap
         rows[:, 1, 2] = overlap - rows[:, 0, 2]
         made = make(PAPER, msgspec.structs.replace(settings(solver), max_iterations=70))
-        commands, solve = solved(made, of, lin, target, rows)
+        commands, solve = answer(made, of, lin, target, rows=rows)
         assert solve.status is SolveStatus.SOLVED, solve.why
         np.testing.assert_allclose(commands, of.optimum(lin, target, rows), atol=0.1)
 
@@ -107,32 +106,32 @@ class Filled(NamedTuple):
     rows: Array  # (N, R, 4) normal of dp over the scale, bound, penalty
 
 
-def rows_of(packed: Array, lin: Linearisation, of: Scene, rows: int) -> Array:
+def rows_of(o: Constants, lin: Linearisation, of: Scene, rows: int) -> Array:
     """Return the rows (N, R, 4) of a scene along a motion."""
     p = assembly.empty(len(lin.Phi), rows)
-    fence.fill(packed, lin.X, of, rows, p)
-    scale = unpack_constants(packed).objective.state_scale[:2]
+    fence.fill(o, lin.X, of, rows, p)
+    scale = o.state_scale[:2]
     first = p.sizes[3] - rows
     parts = p.G[1:, first:, :2] / scale, p.low[1:, first:, None], p.penalty[1:, first:, None]
     return np.concatenate(parts, axis=2)
 
 
-def filled(of: Scene, seed: int, rows: int, stages: int = N) -> tuple[Filled, Array]:
-    """Return random nominal positions with the rows of a scene, and the packed constants."""
-    packed = pack_constants(SMALL, settled(settings(), SMALL).weights, equidistant(stages), 0.3)
+def filled(of: Scene, seed: int, rows: int, stages: int = N) -> tuple[Filled, Constants]:
+    """Return random nominal positions with the rows of a scene, and the constants."""
+    o = Constants.of(SMALL, settled(settings(), SMALL).weights, equidistant(stages))
     lin = Linearisation.empty(stages)
     rng = np.random.default_rng(seed)
     lin.X[...] = 0.0
     lin.X[:, :2] = rng.uniform((-2.5, -2.5), (4.5, 3.5), (stages + 1, 2))
-    return Filled(lin.X, rows_of(packed, lin, of, rows)), packed
+    return Filled(lin.X, rows_of(o, lin, of, rows)), o
 
 
 def test_a_row_is_the_derivative_of_the_clearance_of_its_zone() -> None:
     """The most violated row of a knot: its bound is the lack of the nearest zone, and its normal the slope of that."""
     of, checked = scene(), 0
     for seed in range(20):
-        lin, packed = filled(of, seed, ROWS)
-        scale = unpack_constants(packed).objective.state_scale[0]
+        lin, o = filled(of, seed, ROWS)
+        scale = o.state_scale[0]
         assert scale != 1.0
         for k in range(N):
             at, t_s = lin.X[k + 1, :2], 0.3 * (k + 1)
@@ -156,14 +155,14 @@ def test_the_rows_of_a_long_stage_are_those_of_its_point_of_least_clearance() ->
     """Between the knots the zones have the chord's sag v r h^2 / 8 in addition; obstacles are where they are then."""
     lengths = np.concatenate([np.ones(5), np.full(N - 5, 2.5)])
     knots = np.concatenate([[0.0], np.cumsum(lengths)])
-    packed = pack_constants(SMALL, settled(settings(), SMALL).weights, knots, 0.3)
-    scale, of, seen = unpack_constants(packed).objective.state_scale[0], scene(), {"knot": 0, "between": 0}
+    o = Constants.of(SMALL, settled(settings(), SMALL).weights, knots)
+    scale, of, seen = o.state_scale[0], scene(), {"knot": 0, "between": 0}
     for seed in range(20):
         lin, rng = Linearisation.empty(N), np.random.default_rng(seed)
         lin.X[...] = 0.0
         lin.X[:, :2] = rng.uniform((-2.5, -2.5), (4.5, 3.5), (N + 1, 2))
         lin.X[:, 2], lin.X[:, 5] = 0.5, 0.4
-        rows = rows_of(packed, lin, of, ROWS)
+        rows = rows_of(o, lin, of, ROWS)
         for k, g in enumerate(lengths):
             parts = np.arange(math.ceil(g), 0, -1) / math.ceil(g)
             points = lin.X[k, :2] + parts[:, None] * (lin.X[k + 1, :2] - lin.X[k, :2])
@@ -201,8 +200,8 @@ def test_every_obstacle_has_a_row_where_there_is_no_fence() -> None:
 def test_both_rows_of_the_corridor_are_derivatives_of_the_cross_track_distance() -> None:
     of, checked = corridor(0.2), 0
     for seed in range(5):
-        lin, packed = filled(of, seed, ROWS + CORRIDOR_ROWS)
-        scale = unpack_constants(packed).objective.state_scale[0]
+        lin, o = filled(of, seed, ROWS + CORRIDOR_ROWS)
+        scale = o.state_scale[0]
         for k in range(N):
             at = lin.X[k + 1, :2]
             x = cross_track(of, k + 1, *at)[0]
@@ -243,8 +242,7 @@ def test_the_cross_track_distance_is_from_the_leg_of_the_target(target: int, sta
 
 def test_the_cost_of_the_corridor_is_its_excess() -> None:
     of = corridor(0.2)
-    lin, packed = filled(of, 1, ROWS + CORRIDOR_ROWS)
-    o = unpack_constants(packed).objective
+    lin, o = filled(of, 1, ROWS + CORRIDOR_ROWS)
     across = np.array([abs(cross_track(of, k, *lin.X[k, :2])[0]) for k in range(1, N + 1)])
     extra = fence_cost(lin.X, of, o.t, o.state_scale[0]) - fence_cost(
         lin.X, of._replace(path=NO_PATH), o.t, o.state_scale[0]

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from ltv_mpc.control.config import Weights
-from ltv_mpc.control.horizon_limits import MIN_PENALTY, HorizonLimits
 from ltv_mpc.control.linearisation import Linearisation
-from ltv_mpc.control.ocp.limits import ROWS
+from ltv_mpc.control.ocp.limits import MIN_PENALTY, ROWS
 from ltv_mpc.control.ocp.problem import roll_out, row_values
 from ltv_mpc.messages import Array
+from tests.ltv_mpc.control.problems import LIMITS as OF_PAPER
 from tests.ltv_mpc.control.problems import Form
 
 N = 3
@@ -20,10 +18,16 @@ KNOTS = np.array([0.0, 1.0, 2.0, 3.7])
 LENGTH = np.diff(KNOTS)
 FULL_N = np.array([62.5, 50.0])
 SCALE = np.array([1.5, 1.5, 0.4, 0.4, 1.0, 0.2, *FULL_N, *FULL_N, *FULL_N])
-LIMITS = HorizonLimits(np.array([-40.0, -50.0]), np.array([62.5, 30.0]), np.array([30.0, 20.0]), SCALE[:6])
+LIMITS = OF_PAPER._replace(
+    low=np.array([-40.0, -50.0]),
+    high=np.array([62.5, 30.0]),
+    max_change=np.array([30.0, 20.0]),
+    thrust_scale=FULL_N,
+    state_scale=SCALE[:6],
+)
 BOUNDS = np.array([[-0.1, -0.15], [0.3, 0.2]])
 WEIGHTS = Weights(position_per_m2=1.3, terminal_position_per_m2=7.0)
-FORM = Form(KNOTS, replace(LIMITS, state_bounds=BOUNDS), WEIGHTS)
+FORM = Form(KNOTS, LIMITS._replace(low_state=BOUNDS[0], high_state=BOUNDS[1]), WEIGHTS)
 
 
 @pytest.fixture

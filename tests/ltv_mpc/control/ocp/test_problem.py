@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from ltv_mpc.control.config import Weights
-from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.ocp.problem import Problem, least_surplus, optimality_error, roll_out, row_values
+from ltv_mpc.control.problem_data import Constants
 from ltv_mpc.control.solvers import riccati
 from ltv_mpc.control.solvers.active_set import CONVERGED
 from ltv_mpc.control.solvers.sparse import SparseLayout, fits, solution_of, sparse_qp
@@ -17,7 +17,7 @@ from ltv_mpc.control.solvers.sweep import Sweep
 from tests.ltv_mpc.control.problems import LIMITS, PAPER, Form, motion, precise
 
 N = 17
-MOTION = HorizonLimits.from_vehicle(PAPER, 0.3, np.array([[-0.1, -0.05], [0.2, 0.05]]))
+MOTION = Constants.of(PAPER, Weights(), LIMITS.t, np.array([[-0.1, -0.05], [0.2, 0.05]]))
 KNOTS = np.array([*range(9), *(8.0 + 1.3 * k for k in range(1, 10))])
 
 
@@ -40,7 +40,7 @@ def anything(seed: int, n: int = 3, m: int = 2, M: int = 4, stages: int = 5) -> 
 def solved(p: Problem):
     """Return states and inputs, and the duals."""
     work, y = Sweep.empty(p), np.zeros(p.low.shape)
-    assert riccati.solve(p, work, 60, y)[0] == CONVERGED
+    assert riccati.solve(p, work, np.arange(len(p.h) + 0.0), math.nan, y)[0] == CONVERGED
     return work.z, y
 
 
@@ -86,7 +86,7 @@ def test_a_layout_says_what_does_not_fit_and_grows_by_it() -> None:
     assert not fits(p, both.masks)
 
 
-def of_vehicle(seed: int, limits: HorizonLimits):
+def of_vehicle(seed: int, limits: Constants):
     """Return a problem of a cycle, its solution and its duals."""
     lin, target = motion(seed, N, gap=0.01)
     target = np.column_stack([target, np.full(N + 1, 1.0)])
@@ -95,7 +95,7 @@ def of_vehicle(seed: int, limits: HorizonLimits):
 
 
 @pytest.mark.parametrize("limits", [LIMITS, MOTION], ids=["box", "motion"])
-def test_a_solution_has_no_optimality_error(limits: HorizonLimits) -> None:
+def test_a_solution_has_no_optimality_error(limits: Constants) -> None:
     seen = set()
     for seed in range(8):
         p, z, y = of_vehicle(seed, limits)

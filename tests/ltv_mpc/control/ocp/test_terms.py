@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from msgspec.structs import asdict
@@ -10,18 +12,18 @@ from ltv_mpc.control.config import ResolvedConfig, Weights
 from ltv_mpc.control.linearisation import Linearisation, velocity_over_ground
 from ltv_mpc.control.ocp import assembly, terms
 from ltv_mpc.control.ocp.problem import Problem
-from ltv_mpc.control.problem_data import Objective, pack_objective, unpack_objective
+from ltv_mpc.control.problem_data import Constants
 from ltv_mpc.control.solvers import SOLVERS
 from ltv_mpc.control.solvers.sparse import solution_of, sparse_qp
 from ltv_mpc.messages import Array, SolveStatus
-from tests.ltv_mpc.control.problems import LIMITS, Form, motion, precise
+from tests.ltv_mpc.control.problems import LIMITS, PAPER, Form, motion, precise
 
 N = 6
 KNOTS = np.array([0.0, 1.0, 2.0, 3.0, 4.3, 6.0, 8.2])
 WEIGHTS = Weights(**{name: weight or 0.4 for name, weight in asdict(Weights(thrust=0.2, thrust_change=0.1)).items()})
-OBJECTIVE: Objective = unpack_objective(pack_objective(KNOTS, LIMITS, WEIGHTS))
-SCALES = assembly.scales(LIMITS)
-TERMS = Objective._fields[: len(Weights.__struct_fields__)]
+CONSTANTS = Form(KNOTS, LIMITS, WEIGHTS).constants
+SCALES = assembly.scales(PAPER)
+TERMS = Weights.__struct_fields__
 OF_TERM = pytest.mark.parametrize("term", TERMS)
 
 
@@ -32,9 +34,9 @@ def trajectory(seed: int) -> tuple[Linearisation, Array]:
     return lin, np.column_stack([target, headings])
 
 
-def alone(term: str) -> Objective:
-    """Return the objective in which no other term has a weight."""
-    return OBJECTIVE._replace(**{other: 0.0 for other in TERMS if other != term})
+def alone(term: str) -> Constants:
+    """Return the constants in which no other term has a weight."""
+    return CONSTANTS._replace(weights=CONSTANTS.weights * [other == term for other in TERMS])
 
 
 def value(term: str, lin: Linearisation, target: Array, z: Array) -> float:
@@ -70,7 +72,7 @@ def test_the_model_has_value_and_slope_of_the_exact_term(term: str, seed: int) -
     assert abs(slope) + curvature > 1e-6  # it is there
     assert curvature >= 0.0
     np.testing.assert_allclose(p.H, p.H.transpose(0, 2, 1), atol=1e-12)
-    if term != "terminal_velocity":  # its model leaves out a part of the curvature
+    if term != "terminal_velocity_s2_per_m2":  # its model leaves out a part of the curvature
         assert curvature == pytest.approx(second_difference(term, lin, target, z), rel=1e-4, abs=1e-6)
 
 
@@ -83,9 +85,9 @@ def second_difference(term: str, lin: Linearisation, target: Array, z: Array, h:
 def test_the_model_of_the_terminal_velocity_is_exact_where_its_error_is_zero() -> None:
     lin, target = trajectory(3)
     target[N, :2] = velocity_over_ground(lin.X[N], lin.C[N])[0]
-    p, z = model("terminal_velocity", lin, target), deviation(0)
+    p, z = model("terminal_velocity_s2_per_m2", lin, target), deviation(0)
     curvature = float(np.einsum("ki,kij,kj", z, p.H, z))
-    assert curvature == pytest.approx(second_difference("terminal_velocity", lin, target, z, 1e-4), rel=1e-4)
+    assert curvature == pytest.approx(second_difference("terminal_velocity_s2_per_m2", lin, target, z, 1e-4), rel=1e-4)
 
 
 @OF_TERM
@@ -100,20 +102,17 @@ def test_every_solver_feels_it(term: str, name: str) -> None:
         terms.cost(lin.X, lin.U, lin.C, target, alone(term), more)
     before, wanted = (form.commands(lin, solution_of(p, precise(sparse_qp(p)))) for p in (once, more))
     assert np.abs(before - wanted).max() > 0.01
-    solver = SOLVERS[name](config)
-    solver.build(more)
-    solver.update()
-    result = solver.solve()
+    result = SOLVERS[name](config).solve(more, math.nan)
     assert result.solve.status is SolveStatus.SOLVED
     np.testing.assert_allclose(form.commands(lin, result.z), wanted, atol=5e-3)
 
 
 def test_all_terms_are_in_cost_and_problem() -> None:
     lin, target = trajectory(1)
-    whole = assembly.problem_along(lin, target, KNOTS, LIMITS, WEIGHTS)
+    whole = assembly.problem_along(lin, target, CONSTANTS)
     parts = [model(term, lin, target) for term in TERMS]
     np.testing.assert_allclose(whole.H, sum(p.H for p in parts), atol=1e-12)
     np.testing.assert_allclose(whole.h, sum(p.h for p in parts), atol=1e-12)
     nowhere = np.zeros((N + 1, 12))
-    of_all = assembly.cost(lin.X, lin.U, lin.C, target, OBJECTIVE)
+    of_all = assembly.cost(lin.X, lin.U, lin.C, target, CONSTANTS)
     assert of_all == pytest.approx(sum(value(term, lin, target, nowhere) for term in TERMS))

@@ -10,7 +10,8 @@ import pytest
 
 from ltv_mpc.control.config import ResolvedConfig, Weights
 from ltv_mpc.control.qp import residuals
-from ltv_mpc.control.solvers import osqp
+from ltv_mpc.control.solvers import osqp, riccati
+from ltv_mpc.control.solvers.active_set import FAILED
 from ltv_mpc.control.solvers.osqp import OsqpSolver
 from ltv_mpc.messages import SolveStatus
 from tests.ltv_mpc.control.problems import LIMITS, LOWERED, Form, answer, equidistant, motion
@@ -19,13 +20,6 @@ CONFIG = ResolvedConfig(horizon_s=5.1, weights=Weights())
 PRECISE = msgspec.structs.replace(CONFIG, tolerance=1e-12, max_iterations=6000)
 """Residuals end at 1e-6, which is rounding on rows scaled by 300."""
 FORM = Form(CONFIG.knots)
-
-
-def guess(solver):
-    """Return the QP and the point of the first guess."""
-    solver.update()
-    at, layout = solver.arrays, solver.layout
-    return layout.assemble(layout.filled(solver.problem)), at.x.copy(), at.y.copy()
 
 
 @pytest.mark.parametrize("limits", [LIMITS, LOWERED], ids=["box", "lowered box"])
@@ -77,11 +71,10 @@ def test_without_sweeps_osqp_starts_from_the_trajectory_and_the_last_duals():
     lin.B1[-1] = 0.0
     moved = answer(solver, form, lin, target).commands - lin.U
     duals = solver.duals.copy()
-    solver.shift_warm_start(0.0)
-    solver.build(form.problem(lin, target))
     assert np.abs(moved).max() > 0.1
-    np.testing.assert_array_equal(solver.work.z[:-1, 10:], 0.0)
     assert np.abs(duals).max() > 0.0
+    assert riccati.solve(form.problem(lin, target), solver.work, form.knots, 0.0, solver.duals)[0] == FAILED
+    np.testing.assert_array_equal(solver.work.z[:-1, 10:], 0.0)
     np.testing.assert_allclose(solver.duals, duals, atol=osqp.NOT_ACTIVE)
 
 
@@ -91,7 +84,7 @@ def test_the_tolerance_is_on_the_residuals(cycles):
     for cycle in cycles[::20]:
         answer(solver, FORM, cycle.lin, cycle.target)
         layout = solver.layout
-        qp = layout.assemble(layout.filled(solver.problem))
+        qp = layout.assemble(layout.filled(FORM.problem(cycle.lin, cycle.target)))
         kkt = residuals(qp, solver.arrays.x, solver.arrays.y)
         # the tolerance grows with the gradient; the rows of free limits are scaled down, and so is their violation
         size = osqp.dual_scale(qp.q, layout.places)
@@ -104,7 +97,7 @@ def test_a_solve_depends_on_its_problem_and_its_first_guess_alone(cycles):
     """Replay needs the same bits whatever was solved before."""
     used, fresh = OsqpSolver(CONFIG), OsqpSolver(CONFIG)
     for solver in (used, fresh):
-        solver.build(FORM.problem(*motion(1, CONFIG.stages)))  # gives the pattern
+        solver.set_up(FORM.problem(*motion(1, CONFIG.stages)))
     for cycle in cycles[150:160]:
         answer(used, FORM, cycle.lin, cycle.target)
     first = cycles[20]

@@ -282,6 +282,14 @@ def test_the_time_base_is_that_of_the_answers_to_its_own_requests() -> None:
     assert edge.refused == 0
 
 
+def test_a_new_autopilot_is_asked_for_its_messages_at_once() -> None:
+    edge, autopilot = MavlinkEdge(1, Settings(vehicle=vehicle()), codec(255, 191)), codec()
+    list(edge.step(1_000_000))
+    edge.receive(Received("", autopilot.encode(autopilot.make.heartbeat_encode(11, 3, 0, 0, 4)), b"", 1_010_000))
+    sent = [codec().decode(frame.payload) for frame in edge.step(1_050_000) if isinstance(frame, Outgoing)]
+    assert {30, 32} <= {message.param1 for message in sent if message.get_type() == "COMMAND_LONG"}
+
+
 def test_late_and_repeated_samples_are_left_out_and_a_restart_is_not() -> None:
     navigation = Navigation(Accuracy(), dives=False)
     list(navigation.attitude(attitude(10_000, 0.0)))
@@ -375,14 +383,14 @@ def test_the_items_of_a_fence_are_its_zones() -> None:
         item(0, 5000),  # the point to return to is no zone
         *square(5001, 1),
         *square(5002, 5, side_m=10.0),
-        item(9, 5003, 200.0, 1.0),  # of another group
+        item(9, 5003, 200.0, 1.0),  # of another group, in one of which the vehicle has to be
         item(10, 5004, 3.0, north_m=33.0),
     ]
     fence = config.parse(config.loads(fence_of(items, ORIGIN)), Fence, source="fence")
-    outer, circle, wreck, buoy = fence.zones()
-    assert (outer.keep_in, circle.keep_in, wreck.keep_in, buoy.keep_in) == (True, True, False, False)
-    assert outer.vertices_m[0] == pytest.approx((-50.0, -50.0), abs=0.1)
-    assert np.linalg.norm(circle.vertices_m, axis=1) == pytest.approx(200.0)
+    area, wreck, buoy = fence.zones()
+    assert (area.keep_in, wreck.keep_in, buoy.keep_in) == (True, False, False)
+    assert wreck.vertices_m[0] == pytest.approx((-5.0, -5.0), abs=0.1)
+    assert np.linalg.norm(area.vertices_m, axis=1) == pytest.approx(200.0, abs=0.01)  # the square is in it
     assert (buoy.radius_m, float(buoy.vertices_m[0, 0])) == (3.0, pytest.approx(33.0, abs=0.1))
     assert fence_of([item(0, 5000)], ORIGIN) == ""
 
@@ -394,7 +402,7 @@ def test_the_items_of_a_fence_are_its_zones() -> None:
         ([item(0, 5004, math.nan)], "item 0 radius"),
         ([item(0, 5003, -1.0)], "item 0 radius"),
         ([square(5001)[at] for at in (0, 2, 1, 3)], "meet"),
-        ([item(at, 5003, 50.0, float(at)) for at in range(90)], "fence_toml"),
+        ([item(at, 5002, 400.0, north_m=at % 400, east_m=(at % 400) ** 2 / 100.0) for at in range(3200)], "fence_toml"),
     ],
 )
 def test_a_fence_that_is_no_area_is_refused(items: list[Any], says: str) -> None:

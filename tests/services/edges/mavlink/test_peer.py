@@ -17,7 +17,7 @@ from services.bus.mailbox import Mailbox
 from services.edges.edge import Outgoing, Received
 from services.edges.mavlink.codec import Codec
 from services.edges.mavlink.edge import MavlinkEdge, Settings
-from services.processes.edge_loop import EdgeLoop, SenderLimit
+from services.processes.edge_loop import EdgeLoop
 from services.processes.mavlink import STRANGERS, UdpLink
 from services.runtime.stopping import StopRequest
 from services.supervisor import loopback
@@ -74,6 +74,31 @@ def test_the_link_follows_an_autopilot_that_was_silent_and_at_once_one_that_sign
         assert edge.autopilot.channel == channel
 
 
+def test_a_stranger_that_was_first_and_only_sends_loses_the_link_to_the_autopilot_that_answers() -> None:
+    edge, autopilot, stranger = edge_of(), Codec(1, component=1), Codec(1, component=1)
+
+    def answer(asked: Outgoing) -> bytes:
+        request = Codec(1).decode(asked.payload)
+        return autopilot.encode(autopilot.make.timesync_encode(12345, request.ts1))
+
+    def asked(at_s: int) -> dict[str, Outgoing]:
+        sent = [one for one in edge.step(at_s * SECOND_US) if isinstance(one, Outgoing)]
+        return {one.channel: one for one in sent if Codec(1).decode(one.payload).get_type() == "TIMESYNC"}
+
+    blind = autopilot.encode(autopilot.make.timesync_encode(12345, 1))
+    for sender, frame in (("stranger:1", heartbeat(stranger)), ("a:1", heartbeat(autopilot)), ("a:1", blind)):
+        edge.receive(Received(sender, frame, b"", 2 * SECOND_US))
+    assert edge.autopilot.channel == "stranger:1"
+    assert set(asked(2)) == set(asked(3)) == {"stranger:1"}
+    requests = asked(4)
+    assert set(requests) == {"stranger:1", "a:1"}
+    edge.receive(Received("a:1", answer(requests["a:1"]), b"", 4 * SECOND_US))
+    assert edge.autopilot.channel == "a:1"
+    (request,) = asked(5).values()
+    edge.receive(Received("stranger:1", answer(request), b"", 5 * SECOND_US))
+    assert edge.autopilot.channel == "a:1"
+
+
 def test_a_frame_that_is_refused_does_not_move_the_link() -> None:
     edge, autopilot = edge_of(), Codec(1, component=1)
     edge.receive(Received("a:1", heartbeat(autopilot), b"", 0))
@@ -122,11 +147,3 @@ def test_under_a_flood_of_many_senders_the_autopilot_is_heard_and_answered() -> 
             with pytest.raises(BlockingIOError):
                 stranger.recv(4096)
     assert edge.lost == 0
-
-
-def test_of_each_sender_only_some_frames_a_second_are_received() -> None:
-    limit = SenderLimit(frames=100, senders=20)
-    for number in range(23):
-        admitted = sum(limit.admits(f"10.0.0.1:{number}", 7.0) for _ in range(105))
-        assert admitted == (100 if number < 20 else 0)
-    assert limit.admits("10.0.0.1:0", 8.0)

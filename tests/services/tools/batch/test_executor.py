@@ -106,8 +106,18 @@ def test_workers_end_with_a_parent_that_is_killed(tmp_path: Path) -> None:
     until(lambda: not any(is_alive(int(path.read_text())) for path in tmp_path.glob("*.pid")))
 
 
-def test_a_scheduler_that_is_not_there_is_bad_input(free_port: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("distributed")
-    monkeypatch.setattr(executor, "CLUSTER_TIMEOUT_S", 0.2)
-    with pytest.raises(ConfigError, match="option --cluster"):
-        list(run_each(math.sqrt, [4.0], cluster=f"tcp://127.0.0.1:{free_port}"))
+@pytest.mark.timeout(700)
+def test_a_cluster_that_loses_its_worker_on_the_way_does_each_job(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    distributed = pytest.importorskip("distributed")
+    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
+        monkeypatch.setenv(name, "1")
+    options = {"n_workers": 1, "threads_per_worker": 1, "dashboard_address": None, "local_directory": str(tmp_path)}
+    done: list[tuple[int, float]] = []
+    with distributed.LocalCluster(**options) as cluster:
+        for one in run_each(math.exp, [float(job) for job in range(12)], cluster=cluster.scheduler_address):
+            done.append(one)
+            if len(done) == 1:
+                os.kill(cluster.workers[0].pid, signal.SIGKILL)
+    assert sorted(done) == [(job, math.exp(job)) for job in range(12)]

@@ -11,9 +11,10 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from benchmarks.batch import as_plain, decode
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Array
-from services.tools.batch.results_store import NAME, decode, open_store
+from services.tools.batch.results_store import NAME, open_store
 
 SETTINGS = {"seed": 3, "design": {"kinds": ("a", "b"), "size": 0.1}, "version": "1"}
 
@@ -33,7 +34,7 @@ def test_what_was_appended_comes_back_as_it_was(tmp_path: Path) -> None:
     """Arrays to the last bit and with their kind; an infinite figure too."""
     of = Of(np.array([2**53 + 1, 7]), np.array([[0.1, math.inf], [math.nan, -1e-300]]), np.array([True, False]))
     with open_store(tmp_path / "new", SETTINGS) as store:
-        store.append("one", Figure(math.inf, {"x": of}))
+        store.append("one", as_plain(Figure(math.inf, {"x": of})))
         store.append("two", [Figure(None, {}), Figure(0.1 + 0.2, {})])
     with open_store(tmp_path / "new", SETTINGS) as store:
         assert store.keys == {"one", "two"}

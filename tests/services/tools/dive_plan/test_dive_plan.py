@@ -16,6 +16,7 @@ import pytest
 from msgspec.structs import replace
 
 from benchmarks.batch import Job
+from benchmarks.localisation_check.consistency import band
 from benchmarks.localisation_check.probe import descend
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.localisation.config import EstimatorConfig
@@ -24,6 +25,7 @@ from ltv_mpc.messages import Truth
 from services.cli.app import run
 from services.recording.reader import Recording
 from services.run.folder import RunFolder
+from services.tools import lockstep_run
 from services.tools.batch import executor
 from services.tools.dive_plan import plan, report
 from services.tools.dive_plan.plan import Dive, DivePlan
@@ -63,6 +65,17 @@ def test_the_drift_is_the_bound_of_the_localisation_check(sensors: str) -> None:
     record = descend(Job("descent", settings))
     assert pickle.loads(pickle.dumps((plan.fly, plan.drift, flight.case)))  # the jobs of other processes
     assert flight.drift_m[-1] == pytest.approx(math.sqrt(record.bound_drift_m2.mean()), rel=0.01)
+
+
+@pytest.mark.parametrize("sensors", ["paper", "examples/sensors/600_khz.toml"])
+def test_the_drift_of_simulated_dives_is_that_of_the_plan(sensors: str) -> None:
+    """It lies in the interval of as many dives with the planned drift, on two axes each."""
+    dive, dives = Dive(sensors, None, 8.0, 1.6, 1, seed=1), 10
+    runs = [lockstep_run.run(dive._replace(seed=seed).run_config()) for seed in range(dives)]
+    ends_m = [run.localisation_error_m.final for run in runs]
+    ratio = math.sqrt(np.mean(np.square(ends_m)) / 2.0) / plan.fly(dive).drift_m[-1]
+    low, high = np.sqrt(np.array(band(2 * dives)) / (2 * dives))
+    assert low < ratio < high
 
 
 def test_the_shares_of_all_sources_add_up_to_the_variance(planned: DivePlan) -> None:

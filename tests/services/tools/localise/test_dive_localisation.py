@@ -17,6 +17,7 @@ import pytest
 from ltv_mpc.currents import read_prior
 from ltv_mpc.errors import ConfigError
 from services.cli.dives import localise as command
+from services.tools.localise import dive_localisation
 from services.tools.localise.dive_localisation import COLUMNS, localise
 from services.tools.localise.text import text as dive_text
 from tests.recorded.glider import World, dive
@@ -46,6 +47,12 @@ def whole(out: Path) -> dict[str, Any]:
     """Return the result for all of it."""
     result: dict[str, Any] = json.loads((out / "localise.json").read_text())
     return result
+
+
+@pytest.fixture(autouse=True)
+def few_starts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Study three starts of a dive, but all of the one above."""
+    monkeypatch.setattr(dive_localisation, "MAX_STARTS", 3)
 
 
 def small(count: int = 12, *, gap_s: float = 0.0, bottom: bool = True) -> bytes:
@@ -110,7 +117,7 @@ def test_the_start_is_the_first_ensemble_at_the_depth(made: Path, whole: dict[st
     result = localise(made, start_depth_m=9.0).result
     assert 9.0 <= result.track.start_depth_m < 9.7
     assert result.track.ensembles < whole["track"]["ensembles"]
-    assert list(msgspec.to_builtins(result.study)["each"]) == whole["study"]["each"]
+    assert list(msgspec.to_builtins(result.study)["each"]) == whole["study"]["each"][:3]
     with pytest.raises(ConfigError, match="the deepest is at 41") as error:
         localise(made, start_depth_m=60.0)
     assert error.value.source == "option --start-depth-m"
@@ -186,9 +193,10 @@ def framed(ensembles: list[Written], **head: Any) -> list[bytes]:
     ("seed", "of"), [(1, {}), (1, {"speed": 2.5, "turn_deg_s": 6.0}), (2, {"turn_deg_s": 3.0, "dt": 8.0})]
 )
 def test_a_vehicle_that_turns_is_localised_and_the_filter_is_consistent(
-    seed: int, of: dict[str, float], tmp_path: Path
+    seed: int, of: dict[str, float], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With one random walk for every vehicle, wide enough for a glider, the error was 104 m at a sigma of 5.8 m."""
+    monkeypatch.setattr(dive_localisation, "MAX_STARTS", 10)
     result = localise(of_lawnmower(tmp_path, lawnmower(seed, **of))).result
     assert result.error is not None
     assert result.error.error_m < 4.0
@@ -206,10 +214,11 @@ def test_a_filter_whose_sigma_is_too_small_says_so(tmp_path: Path) -> None:
     assert any("NOT consistent" in note and "where 1 is expected" in note for note in notes)
 
 
-def test_an_error_velocity_that_was_filled_in_is_no_noise(tmp_path: Path) -> None:
+@pytest.mark.parametrize("measured", [0, 7])
+def test_an_error_velocity_that_was_filled_in_is_no_noise(measured: int, tmp_path: Path) -> None:
     """The beams then agree to the last bit, and the noise would be that of the data sheet."""
     ensembles = lawnmower(1)
-    for ensemble in ensembles:
+    for ensemble in ensembles[measured:]:
         spare = ensemble.beams_mps @ [0.25, 0.25, -0.25, -0.25]
         ensemble.beams_mps -= spare[:, None] * [1.0, 1.0, -1.0, -1.0]
     result = localise(of_lawnmower(tmp_path, ensembles)).result

@@ -1,4 +1,4 @@
-"""Notifications to the service manager, on a socket of the test."""
+"""Notifications to a service manager and to a supervisor, on sockets of the test, and the state that is given."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ import pytest
 
 from services.bus.options import BusOptions
 from services.bus.session import open_session
-from services.runtime.service_manager import ServiceManager
+from services.runtime.lifeline import GO, HEARTBEAT_PERIOD_US, Lifeline
+from services.runtime.stage_timer import StageTimer
 from services.runtime.stopping import StopRequest
 from services.supervisor import loopback
 
@@ -44,7 +45,7 @@ def test_the_manager_is_told_ready_status_stopping_and_four_times_in_its_time_ou
     manager: tuple[socket.socket, str],
 ) -> None:
     receiver, address = manager
-    process = ServiceManager()
+    process = Lifeline()
     process.connect({"NOTIFY_SOCKET": address, "WATCHDOG_USEC": "2000000", "WATCHDOG_PID": str(os.getpid())})
     process.beat(0)  # not before it is ready
     for text in ("waiting\nfor the router", "waiting for the router"):
@@ -68,7 +69,7 @@ def test_without_a_watchdog_of_this_process_none_is_notified(
     watchdog: dict[str, str], manager: tuple[socket.socket, str]
 ) -> None:
     receiver, address = manager
-    process = ServiceManager()
+    process = Lifeline()
     process.connect({"NOTIFY_SOCKET": address, **watchdog})
     process.ready()
     process.beat(10**9)
@@ -79,24 +80,77 @@ def test_without_a_watchdog_of_this_process_none_is_notified(
 
 @pytest.mark.parametrize("address", ["", "vsock:2:1234", "/nonexistent/notify"])
 def test_without_a_manager_nothing_is_sent_and_nothing_fails(address: str) -> None:
-    process = ServiceManager()
+    process = Lifeline()
     process.connect({"NOTIFY_SOCKET": address, "WATCHDOG_USEC": "1000"})
     process.ready()
     process.status("running")
     process.beat(1)
     process.stopping()
+    assert process.state == b""
 
 
-@pytest.mark.parametrize("manager", ["path"], indirect=True)
-def test_a_manager_that_does_not_read_blocks_no_process(manager: tuple[socket.socket, str]) -> None:
-    receiver, address = manager
-    process = ServiceManager()
-    process.connect({"NOTIFY_SOCKET": address, "WATCHDOG_USEC": "4000"})
-    process.ready()
-    for now_us in range(0, 2_000_000, 1000):
+@pytest.fixture
+def supervisor() -> Iterator[tuple[socket.socket, socket.socket]]:
+    """Socket of the supervisor, and that of the process."""
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    ours.setblocking(False)
+    with ours:
+        yield ours, theirs
+
+
+def supervised(ends: tuple[socket.socket, socket.socket], state: bytes = b"") -> Lifeline:
+    """Return the lifeline of a process that the supervisor lets go on from this state."""
+    process, stdin = Lifeline(), os.memfd_create("state")
+    os.write(stdin, state)
+    ends[0].send(GO)
+    try:
+        process.connect_to_supervisor(ends[1].detach(), stdin=stdin)
+    finally:
+        os.close(stdin)
+    return process
+
+
+def test_a_supervised_loop_sends_a_heartbeat_each_turn_up_to_the_expected_rate(
+    supervisor: tuple[socket.socket, socket.socket], manager: tuple[socket.socket, str]
+) -> None:
+    """It has no other watchdog: the service manager watches the supervisor."""
+    process = supervised(supervisor)
+    process.connect({"NOTIFY_SOCKET": manager[1], "WATCHDOG_USEC": "1000"})
+    for now_us in range(1_000_000, 1_000_001 + 2 * HEARTBEAT_PERIOD_US, 10_000):
         process.beat(now_us)
-    assert 0 < len(received(receiver)) < 2000
+    assert received(supervisor[0]) == 3 * ["WATCHDOG=1"]
+    StageTimer(process)("build")  # so does each stage of a cycle
     process.stopping()
+    process.beat(10**15)
+    assert received(supervisor[0]) == ["WATCHDOG=1", "STOPPING=1"]
+    assert received(manager[0]) == []
+
+
+@pytest.mark.parametrize("dead", [True, False])
+def test_a_receiver_that_is_dead_or_does_not_read_blocks_no_process(
+    supervisor: tuple[socket.socket, socket.socket], dead: bool
+) -> None:
+    process = supervised(supervisor)
+    if dead:
+        supervisor[0].close()
+    for k in range(2000):
+        process.beat(k * HEARTBEAT_PERIOD_US)
+    assert dead or 0 < len(received(supervisor[0])) < 2000
+
+
+@pytest.mark.parametrize("state", [bytes(2**21), b""])
+def test_a_restarted_process_reads_its_restored_state(
+    supervisor: tuple[socket.socket, socket.socket], state: bytes
+) -> None:
+    assert supervised(supervisor, state).state == state
+
+
+def test_a_process_whose_supervisor_is_dead_exits_before_it_starts(
+    supervisor: tuple[socket.socket, socket.socket],
+) -> None:
+    supervisor[0].close()
+    with pytest.raises(SystemExit):
+        Lifeline().connect_to_supervisor(supervisor[1].detach())
 
 
 @pytest.mark.timeout(300)
