@@ -26,14 +26,7 @@ MAX_FILE_BYTES = 1 << 20
 MAX_NESTING = 10
 """Largest depth of nested tables and lists. No settings file needs more, and their traversal is recursive."""
 
-FOREIGN = {
-    ".kml": "KML",
-    ".kmz": "KML",
-    ".gml": "GML",
-    ".dxf": "DXF",
-    ".shp": "a shapefile",
-    ".gpkg": "a GeoPackage",
-}
+FOREIGN = {".kml": "KML", ".kmz": "KML", ".dxf": "DXF", ".gml": "GML", ".shp": "a shapefile", ".gpkg": "GeoPackage"}
 """Kinds of files of maps, by their suffix, that GDAL's ogr2ogr converts."""
 
 TOO_DEEP = f"tables and lists inside one another: at most {MAX_NESTING} deep"

@@ -90,11 +90,10 @@ def read_table(
             continue
         cells = _cells(text, separator)
         if any(cells[len(names) :]):
-            problem = f"has {len(cells)} cells, the header names {len(names)} columns: "
-            if separator == "," and (len(cells) == 2 * len(names) or ";" in text):
-                problem += "decimal commas need cells and names separated by semicolons or tabs"
-            else:
-                problem += "name each of them (write.table of R needs row.names = FALSE); decimals need points"
+            problem = (
+                f"has {len(cells)} cells, the header names {len(names)} columns: name each of them (write.table of R "
+                "needs row.names = FALSE); decimal commas need cells and names separated by semicolons or tabs"
+            )
             raise ConfigError(source, f"line {k}", problem)
         rows[k] = {
             name: _number(cells, names.index(name), f"line {k} {name}", separator, source, name in may_be_nan)

@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -65,9 +66,8 @@ def read_profile(path: str | Path, notes: list[str] | None = None) -> CurrentPro
     ConfigError
         With file, line, field, value and bound.
     """
-    columns = _read(Path(path), of_prior=False, notes=notes)
-    depth, north, east = (columns[name] for name in COLUMNS)
-    return CurrentProfile(depth_m=depth, north_mps=north, east_mps=east, sd_mps=columns.get(SD))
+    depth, north, east, sd, _ = _read(Path(path), of_prior=False, notes=notes)
+    return CurrentProfile(depth_m=depth, north_mps=north, east_mps=east, sd_mps=sd)
 
 
 def read_prior(path: str | Path, notes: list[str] | None = None) -> WaterPrior:
@@ -83,10 +83,8 @@ def read_prior(path: str | Path, notes: list[str] | None = None) -> WaterPrior:
     ConfigError
         With file, line, field, value and bound.
     """
-    columns = _read(Path(path), of_prior=True, notes=notes)
-    depth, north, east = (columns[name] for name in COLUMNS)
-    common = float(columns[SD_COMMON][0])
-    return WaterPrior(depth_m=depth, north_mps=north, east_mps=east, sd_mps=columns[SD], sd_common_mps=common)
+    depth, north, east, sd, common = _read(Path(path), of_prior=True, notes=notes)
+    return WaterPrior(depth_m=depth, north_mps=north, east_mps=east, sd_mps=sd, sd_common_mps=float(common[0]))
 
 
 def write_profile(path: str | Path, profile: CurrentProfile | WaterPrior) -> None:
@@ -107,8 +105,8 @@ def write_profile(path: str | Path, profile: CurrentProfile | WaterPrior) -> Non
     Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def _read(path: Path, *, of_prior: bool, notes: list[str] | None) -> dict[str, Array]:
-    """Read the columns of a file by name, each (K,), from the first to the last depth with a current."""
+def _read(path: Path, *, of_prior: bool, notes: list[str] | None) -> list[Any]:
+    """Read the columns of a file, each (K,) or None, from the first to the last depth with a current."""
     source, velocities = f"currents {path}", COLUMNS[1:]
     table = read_table(
         path,
@@ -141,7 +139,8 @@ def _read(path: Path, *, of_prior: bool, notes: list[str] | None) -> dict[str, A
             _check_common(row, rows[0][1][SD_COMMON], f"line {number} {SD_COMMON}", source)
     if changed and notes is not None:
         notes.append(f"{source}: {'; '.join(changed)}")
-    return {name: np.array([row[name] for _, row in rows]) for name in rows[0][1]}
+    names = (*COLUMNS, SD, SD_COMMON)
+    return [np.array([row[name] for _, row in rows]) if name in rows[0][1] else None for name in names]
 
 
 def _check_common(row: Row, of_all: float, field: str, source: str) -> None:

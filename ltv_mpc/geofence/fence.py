@@ -17,7 +17,6 @@ from msgspec import Meta
 
 from ltv_mpc import config
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.geofence import fence_files, geojson
 from ltv_mpc.messages import Array, ZoneInForce
 from ltv_mpc.references.base import BaseReference
 from ltv_mpc.references.geodesy import Origin, Place, local, origin_distance_m
@@ -85,6 +84,8 @@ class Fence(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         notes : as in ``from_geojson``.
         origin : that of the reference, for a list of fence items without home.
         """
+        from ltv_mpc.geofence import fence_files  # shapely takes a tenth of a second
+
         source = f"fence {path}"
         if path.lower().endswith(GEOJSON):
             return cls.from_geojson(config.read_text(Path(path), what="fence"), source, notes)
@@ -103,11 +104,13 @@ class Fence(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         source : name of the text in errors.
         notes : receives a sentence about coordinates that are not exactly those of WGS 84.
         """
-        table, numbers = geojson.parse(text, source, [] if notes is None else notes)
+        from ltv_mpc.geofence import geojson
+
+        table, names = geojson.parse(text, source, [] if notes is None else notes)
         try:
             return config.parse(table, cls, source=source)
         except ConfigError as error:
-            raise geojson.with_features(error, numbers) from None
+            raise geojson.with_features(error, names) from None
 
     def save(self, path: str) -> None:
         """Write the fence: GeoJSON if the file's suffix is .geojson or .json, else TOML. Raises ``ConfigError``.
@@ -117,6 +120,8 @@ class Fence(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         path : of the file. GeoJSON needs the fence's origin.
         """
         if path.lower().endswith(GEOJSON):
+            from ltv_mpc.geofence import geojson
+
             text = geojson.text(msgspec.to_builtins(self), self.origin, f"fence {path}")
         else:
             text = config.to_toml(self)

@@ -9,11 +9,13 @@ A list of positions alone, as ArduPilot's ground stations wrote it, is a return 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import msgspec
+import numpy as np
+import shapely
 
 from ltv_mpc import config
 from ltv_mpc.errors import ConfigError
@@ -26,29 +28,6 @@ MARGIN_M, MAX_RADIUS_M = 1.0, 100_000.0
 CORNERS = 32
 """Vertices of the polygon in an inclusion circle."""
 RETURN_POINT, KEEP_IN, KEEP_OUT, CIRCLE_IN, CIRCLE_OUT = 5000, 5001, 5002, 5003, 5004  # MAV_CMD_NAV_FENCE
-
-
-class Area(NamedTuple):
-    """Polygon, or circle around its only position; positions are latitude and longitude (degrees)."""
-
-    inside: bool  # the vehicle stays in it
-    group: int
-    positions: list[Sequence[float]]
-    radius_m: float = 0.0
-
-    @classmethod
-    def circle(cls, inside: bool, group: int, centre: Sequence[float], radius_m: float, where: tuple[str, str]) -> Area:
-        """Return a circle. Raises ``ConfigError`` if its radius is not that of one.
-
-        Parameters
-        ----------
-        inside, group, radius_m : of the area.
-        centre : latitude and longitude (degrees).
-        where : names of file and field in errors.
-        """
-        if not 0.0 < radius_m <= MAX_RADIUS_M:
-            raise ConfigError(*where, f"must be above 0 and <= {MAX_RADIUS_M:g} m", value=radius_m)
-        return cls(inside, group, [centre], radius_m)
 
 
 def read(path: Path, source: str, notes: list[str], origin: Origin | None) -> dict[str, Any] | None:
@@ -75,7 +54,7 @@ def read(path: Path, source: str, notes: list[str], origin: Origin | None) -> di
             plan = config.parse_json(text, source)
             latitude, longitude = map(float, plan["mission"]["plannedHomePosition"][:2])
             origin = Origin(latitude_deg=latitude, longitude_deg=longitude)
-            areas = _of_plan(plan, source)
+            items = _items_of(plan["geoFence"])
             mission, rally = plan["mission"].get("items") or (), (plan.get("rallyPoints") or {}).get("points") or ()
             note_unused(source, notes, items_of_its_mission=len(mission), rally_points=len(rally))
         else:
@@ -86,9 +65,8 @@ def read(path: Path, source: str, notes: list[str], origin: Origin | None) -> di
                 items.insert(0, home)
             if origin is None:
                 raise ConfigError(source, "", "has no home: item 0, or the [origin] of a reference")
-            areas = _of_items(items, source)
         notes.append(f"{source}: has no margins, each zone has {MARGIN_M:g} m")
-        return {"margin_m": MARGIN_M, "origin": msgspec.to_builtins(origin), **_zones(areas, source)}
+        return {"margin_m": MARGIN_M, "origin": msgspec.to_builtins(origin), **zones_of(items, source)}
     except ConfigError:
         raise
     except (TypeError, KeyError, ValueError, IndexError, OverflowError) as error:
@@ -109,7 +87,23 @@ def _ring_items(positions: list[tuple[float, float]], source: str) -> list[Item]
     ring = positions[1:-1]
     if len(ring) < 3 or positions[1] != positions[-1]:
         raise ConfigError(source, "", "must be a return point and a closed ring of at least 3 vertices")
-    return [Item(k, KEEP_IN, 0, (len(ring), 0.0, 0.0, 0.0), *place, 0.0) for k, place in enumerate(ring, start=1)]
+    return [_item(k, KEEP_IN, len(ring), place) for k, place in enumerate(ring, start=1)]
+
+
+def _items_of(fence: Any) -> list[Item]:
+    """Return the fence of a plan as fence items, as QGroundControl sends it."""
+    items = []
+    for k, polygon in enumerate(fence["polygons"]):
+        ring, command = polygon["polygon"], KEEP_IN if polygon["inclusion"] else KEEP_OUT
+        items += [_item(k, command, len(ring), place) for place in ring]
+    for k, of in enumerate(fence["circles"], start=len(fence["polygons"])):
+        circle, command = of["circle"], CIRCLE_IN if of["inclusion"] else CIRCLE_OUT
+        items.append(_item(k, command, float(circle["radius"]), circle["center"]))
+    return items
+
+
+def _item(number: int, command: int, first: float, place: Sequence[float]) -> Item:
+    return Item(number, command, 0, (first, 0.0, 0.0, 0.0), float(place[0]), float(place[1]), 0.0)
 
 
 def zones_of(items: Iterable[Item], source: str) -> dict[str, Any]:
@@ -125,64 +119,49 @@ def zones_of(items: Iterable[Item], source: str) -> dict[str, Any]:
     ConfigError
         If an item is no part of a fence, or a polygon is not complete.
     """
-    return _zones(_of_items(items, source), source)
-
-
-def _zones(areas: Iterable[Area], source: str) -> dict[str, Any]:
-    """Return the tables of keep-in and keep-out zones."""
     table: dict[str, Any] = {}
-    groups: dict[tuple[int, int], list[list[Ring]]] = {}
-    for number, area in enumerate(areas):
-        ring = [_place(position) for position in area.positions]
-        if area.inside:
-            group = (area.group, 0 if area.group else number)
-            groups.setdefault(group, []).append([_polygon_in(area) if area.radius_m else ring])
-        elif area.radius_m:
-            table.setdefault("keep_out_disc", []).append({"centre": ring[0], "radius_m": area.radius_m})
-        else:
-            table.setdefault("keep_out", []).append({"vertices": ring})
+    groups: dict[tuple[int, int], list[Any]] = {}
+    ring: list[Item] = []
+    for item in items:
+        (size, group), command = item.parameters[:2], item.command
+        where = f"item {item.number} {command_name(command)} ({command})"
+        if ring and command != ring[0].command:
+            problem = f"the polygon before it has {len(ring)} of {ring[0].parameters[0]:g} vertices"
+            raise ConfigError(source, where, problem)
+        places = [_place(item)]
+        if command in (CIRCLE_IN, CIRCLE_OUT):
+            if not 0.0 < size <= MAX_RADIUS_M:
+                raise ConfigError(source, f"{where} radius", f"must be above 0 and <= {MAX_RADIUS_M:g} m", value=size)
+        elif command in (KEEP_IN, KEEP_OUT):
+            ring.append(item)
+            if len(ring) != size:
+                continue
+            places, ring = [_place(one) for one in ring], []
+        elif command != RETURN_POINT:  # of a plane's fence: the vehicle keeps inside the zones instead
+            raise ConfigError(source, where, "is no part of a fence")
+        if command in (KEEP_IN, CIRCLE_IN):
+            corners = places if command == KEEP_IN else _corners(places[0], size)
+            polygon = shapely.Polygon([(at["longitude_deg"], at["latitude_deg"]) for at in corners])
+            groups.setdefault((int(group), 0 if group else len(groups)), []).append(polygon)
+        elif command == KEEP_OUT:
+            table.setdefault("keep_out", []).append({"vertices": places})
+        elif command == CIRCLE_OUT:
+            table.setdefault("keep_out_disc", []).append({"centre": places[0], "radius_m": size})
+    if ring:
+        raise ConfigError(source, "", f"the last polygon has {len(ring)} of {ring[0].parameters[0]:g} vertices")
     if groups:
         for name, rings in zones_around([*groups.values()], "inclusion zones", source).items():
-            table.setdefault(name, []).extend({"vertices": ring} for ring in rings)
+            table.setdefault(name, []).extend({"vertices": one} for one in rings)
     return table
 
 
-def _of_plan(plan: Any, source: str) -> Iterator[Area]:
-    fence = plan["geoFence"]
-    for polygon in fence["polygons"]:
-        yield Area(bool(polygon["inclusion"]), 0, polygon["polygon"])
-    for k, circle in enumerate(fence["circles"]):
-        centre, radius_m = circle["circle"]["center"], float(circle["circle"]["radius"])
-        yield Area.circle(bool(circle["inclusion"]), 0, centre, radius_m, (source, f"circles[{k}] radius"))
+def _place(item: Item) -> dict[str, float]:
+    return {"latitude_deg": item.latitude_deg, "longitude_deg": item.longitude_deg}
 
 
-def _of_items(items: Iterable[Item], source: str) -> Iterator[Area]:
-    ring: list[Item] = []
-    for item in items:
-        size, group = item.parameters[:2]
-        if ring and item.command != ring[0].command:
-            problem = f"the polygon before it has {len(ring)} of {ring[0].parameters[0]:g} vertices"
-            raise ConfigError(source, f"item {item.number}", problem)
-        if item.command in (KEEP_IN, KEEP_OUT):
-            ring.append(item)
-            if len(ring) == size:
-                yield Area(item.command == KEEP_IN, int(group), [(one.latitude_deg, one.longitude_deg) for one in ring])
-                ring = []
-        elif item.command in (CIRCLE_IN, CIRCLE_OUT):
-            centre, where = (item.latitude_deg, item.longitude_deg), (source, f"item {item.number} radius")
-            yield Area.circle(item.command == CIRCLE_IN, int(group), centre, size, where)
-        elif item.command != RETURN_POINT:  # of a plane's fence: the vehicle keeps inside the zones instead
-            name = command_name(item.command)
-            raise ConfigError(source, f"item {item.number} {name} ({item.command})", "is no part of a fence")
-    if ring:
-        raise ConfigError(source, "", f"the last polygon has {len(ring)} of {ring[0].parameters[0]:g} vertices")
-
-
-def _place(position: Sequence[float]) -> dict[str, float]:
-    return {"latitude_deg": float(position[0]), "longitude_deg": float(position[1])}
-
-
-def _polygon_in(circle: Area) -> Ring:
-    centre = Origin(latitude_deg=circle.positions[0][0], longitude_deg=circle.positions[0][1])
-    angles = [2.0 * math.pi * k / CORNERS for k in range(CORNERS)]
-    return [_place(degrees(circle.radius_m * math.cos(a), circle.radius_m * math.sin(a), centre)) for a in angles]
+def _corners(centre: dict[str, float], radius_m: float) -> Ring:
+    """Return the corners of the polygon in a circle."""
+    angles = 2.0 * math.pi * np.arange(CORNERS) / CORNERS
+    offsets = radius_m * np.column_stack([np.cos(angles), np.sin(angles)])
+    places = [degrees(north, east, Origin(**centre)) for north, east in offsets.tolist()]
+    return [{"latitude_deg": at, "longitude_deg": on} for at, on in places]

@@ -15,12 +15,13 @@ ignored: programs that draw maps add them. A LineString or a Point without a ``z
 
 from __future__ import annotations
 
-import itertools
 import re
 from collections.abc import Mapping
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import msgspec
+import shapely
+from shapely.affinity import scale
 
 from ltv_mpc import config
 from ltv_mpc.errors import ConfigError
@@ -48,15 +49,15 @@ AROUND = (1.05, 1.1)
 CRS = {"CRS84": 0.0, "4326": 0.0, "4258": 1.0, "4269": 2.0}
 """Largest distance (m) between WGS 84 and coordinate reference systems that are read: itself, ETRS89 and NAD83."""
 
-Numbers: TypeAlias = dict[str, list[int]]
-"""Numbers of the features of each kind of zone, in their order."""
+Names: TypeAlias = dict[str, str]
+"""Names of features by those of zones, as ``fence.toml`` holds them: ``keep_in[0]`` or ``[keep_in.0]``."""
 
 Ring: TypeAlias = list[dict[str, float]]
 """Vertices of a ring: latitude_deg and longitude_deg."""
 
 
-def parse(content_text: str | bytes, source: str, notes: list[str]) -> tuple[dict[str, Any], Numbers]:
-    """Return the table of a fence, as ``fence.toml`` holds it, and the numbers of its features.
+def parse(content_text: str | bytes, source: str, notes: list[str]) -> tuple[dict[str, Any], Names]:
+    """Return the table of a fence, as ``fence.toml`` holds it, and the names of its features.
 
     Raises ``ConfigError``.
 
@@ -66,33 +67,70 @@ def parse(content_text: str | bytes, source: str, notes: list[str]) -> tuple[dic
     source : name of the text in errors.
     notes : receives a sentence about coordinates that are not exactly those of WGS 84.
     """
-    content = config.parse_json(content_text, source)
-    if content.get("type") != "FeatureCollection":
-        raise ConfigError(source, "type", 'must be "FeatureCollection"')
-    features = content.get("features")
-    if not isinstance(features, list):
-        raise ConfigError(source, "features", "must be a list of features")
+    content, features = features_of(content_text, source, notes)
     table: dict[str, Any] = {key: content[key] for key in ("margin_m", "origin") if key in content}
-    numbers: Numbers = {}
-    check_crs(content, "crs", source, notes)
-    paths = 0
-    for k, feature in enumerate(features):
-        if _is_reference(feature):
-            paths += 1
-            continue
-        for zone, entries in _entries(feature, f"features[{k}]", source, notes).items():
-            table.setdefault(zone, []).extend(entries)
-            numbers.setdefault(zone, []).extend([k] * len(entries))
-    note_unused(source, notes, features_of_a_reference=paths)
-    return table, numbers
+    names: Names = {}
+    zones = [feature for feature in features if not feature.is_reference]
+    note_unused(source, notes, features_of_a_reference=len(features) - len(zones))
+    for feature in zones:
+        for zone, entries in _entries(feature, source).items():
+            for i, entry in enumerate(entries, start=len(table.setdefault(zone, []))):
+                table[zone].append(entry)
+                names |= dict.fromkeys((f"{zone}[{i}]", f"[{zone}.{i}]"), feature.where)
+    return table, names
 
 
-def _is_reference(feature: Any) -> bool:
-    """Return True for a LineString or a Point without a ``zone``."""
-    try:
-        return feature["geometry"]["type"] in REFERENCES and "zone" not in (feature["properties"] or {})
-    except (TypeError, KeyError):
-        return False
+class Feature(NamedTuple):
+    """Feature of GeoJSON, or a geometry alone."""
+
+    number: int
+    properties: dict[str, Any]
+    shape: Any  # shapely geometry: longitude and latitude (degrees), perhaps heights
+
+    @property
+    def where(self) -> str:
+        """Name of the feature in errors."""
+        return f"features[{self.number}]"
+
+    @property
+    def is_reference(self) -> bool:
+        """True for a LineString or a Point without a ``zone``."""
+        return self.shape.geom_type in REFERENCES and "zone" not in self.properties
+
+
+def features_of(text: str | bytes, source: str, notes: list[str]) -> tuple[dict[str, Any], list[Feature]]:
+    """Return the content and the features of a GeoJSON text. Raises ``ConfigError``.
+
+    Parameters
+    ----------
+    text : GeoJSON: a collection, one feature, or a geometry.
+    source : name of the text in errors.
+    notes : receives a sentence about coordinates that are not exactly those of WGS 84.
+    """
+    content = config.parse_json(text, source)
+    of, features = [content], []
+    if content.get("type") == "FeatureCollection":
+        of = content.get("features")  # type: ignore[assignment]
+        check_crs(content, "crs", source, notes)
+    if not isinstance(of, list):
+        raise ConfigError(source, "features", "must be a list of features")
+    for k, feature in enumerate(of):
+        where = f"features[{k}]"
+        try:
+            geometry = feature["geometry"] if feature["type"] == "Feature" else feature
+            properties = dict(feature.get("properties") or {})
+            parts = msgspec.json.encode({"type": geometry["type"], "coordinates": geometry["coordinates"]})
+        except (AttributeError, TypeError, KeyError, ValueError):
+            raise ConfigError(source, where, "must be a Feature with properties and a geometry") from None
+        check_crs(feature, f"{where}.crs", source, notes)
+        check_crs(geometry if geometry is not feature else None, f"{where}.geometry.crs", source, notes)
+        try:
+            shape = shapely.from_geojson(parts)
+        except shapely.GEOSException as error:
+            reason = str(error).partition(": ")[2]  # behind the name of an exception of GEOS
+            raise ConfigError(source, f"{where}.geometry", f"is no geometry of GeoJSON: {reason}") from None
+        features.append(Feature(k, properties, shape))
+    return content, features
 
 
 def check_crs(of: Any, where: str, source: str, notes: list[str]) -> None:
@@ -119,20 +157,14 @@ def check_crs(of: Any, where: str, source: str, notes: list[str]) -> None:
         notes.append(f"{source}: {where} {name} is read as WGS 84, from which it differs by up to about {off_m:g} m")
 
 
-def with_features(error: ConfigError, numbers: Numbers) -> ConfigError:
+def with_features(error: ConfigError, names: Names) -> ConfigError:
     """Return an error about the table of a fence that names the features of the GeoJSON text instead.
 
     Parameters
     ----------
-    error : names zones as ``fence.toml`` holds them, ``keep_in[0]`` or ``[keep_in.0]``.
-    numbers : as ``parse`` returns them.
+    error : names zones.
+    names : as ``parse`` returns them.
     """
-    names = {
-        written: f"features[{k}]"
-        for zone, features in numbers.items()
-        for i, k in enumerate(features)
-        for written in (f"{zone}[{i}]", f"[{zone}.{i}]")
-    }
 
     def named(text: str) -> str:
         """Return a text with the names of features."""
@@ -143,55 +175,30 @@ def with_features(error: ConfigError, numbers: Numbers) -> ConfigError:
     return ConfigError(error.source, named(error.field), named(problem), value=error.value)
 
 
-def _entries(feature: Any, where: str, source: str, notes: list[str]) -> dict[str, list[dict[str, Any]]]:
+def _entries(feature: Feature, source: str) -> dict[str, list[dict[str, Any]]]:
     """Return the entries of one feature by their table."""
-    try:
-        given, geometry = dict(feature["properties"]), feature["geometry"]
-        kind, coordinates = geometry["type"], geometry["coordinates"]
-    except (TypeError, KeyError, ValueError):
-        raise ConfigError(source, where, "must be a Feature with properties and a geometry") from None
-    check_crs(feature, f"{where}.crs", source, notes)
-    check_crs(geometry, f"{where}.geometry.crs", source, notes)
-    zone, at = given.get("zone"), f"{where}.geometry.coordinates"
-    properties = {key: given[key] for key in PROPERTIES if given.get(key) is not None}
+    zone, kind, at = feature.properties.get("zone"), feature.shape.geom_type, f"{feature.where}.geometry"
     if not isinstance(zone, str) or zone not in GEOMETRY:
-        raise ConfigError(source, f"{where}.properties.zone", f"must be one of {', '.join(GEOMETRY)}", value=zone)
+        problem = f"must be one of {', '.join(GEOMETRY)}"
+        raise ConfigError(source, f"{feature.where}.properties.zone", problem, value=zone)
     if kind != GEOMETRY[zone] and (kind, zone == "keep_out_disc") != ("MultiPolygon", False):
-        raise ConfigError(source, f"{where}.geometry.type", f'must be "{GEOMETRY[zone]}" for {zone}', value=kind)
+        raise ConfigError(source, f"{at}.type", f'must be "{GEOMETRY[zone]}" for {zone}', value=kind)
+    if feature.shape.is_empty:
+        raise ConfigError(source, f"{at}.coordinates", "are missing")
+    properties = {key: feature.properties[key] for key in PROPERTIES if feature.properties.get(key) is not None}
+    parts = shapely.get_parts(shapely.remove_repeated_points(shapely.force_2d(feature.shape))).tolist()
     if kind == "Point":
-        return {zone: [{**properties, "centre": place_of(coordinates, at, source)}]}
-    if not isinstance(coordinates, list) or not coordinates:
-        raise ConfigError(source, at, "must be a list of rings or polygons")
-    polygons = [(at, coordinates)]
-    if kind == "MultiPolygon":
-        polygons = [(f"{at}[{i}]" if len(coordinates) > 1 else at, polygon) for i, polygon in enumerate(coordinates)]
-    rings = [_rings(polygon, of, source) for of, polygon in polygons]
+        return {zone: [{**properties, "centre": places_of(parts[0])[0]}]}
     if zone == "keep_in":
-        zones = zones_around([[polygon] for polygon in rings], at, source)
-        return {table: [{**properties, "vertices": ring} for ring in found] for table, found in zones.items()}
-    holes = next((of for (of, _), polygon in zip(polygons, rings, strict=True) if len(polygon) > 1), "")
-    if holes:
-        raise ConfigError(source, holes, "must be one ring for keep_out: the vehicle cannot come into a hole")
-    return {zone: [{**properties, "vertices": ring} for (ring,) in rings]}
+        zones = zones_around([[part] for part in parts], at, source)
+    elif any(part.interiors for part in parts):
+        raise ConfigError(source, at, "must have no hole for keep_out: the vehicle cannot come into it")
+    else:
+        zones = {zone: [places_of(part.exterior)[:-1] for part in parts]}
+    return {table: [{**properties, "vertices": ring} for ring in rings] for table, rings in zones.items()}
 
 
-def _rings(polygon: Any, where: str, source: str) -> list[Ring]:
-    """Return the vertices of the rings of a polygon without repeated ones."""
-    if not isinstance(polygon, list) or not polygon:
-        raise ConfigError(source, where, "must be a list of rings")
-    rings = []
-    for k, places in enumerate(polygon):
-        at = f"{where}[{k}]"
-        if isinstance(places, list):
-            places = [place_of(position, f"{at}[{i}]", source) for i, position in enumerate(places)]
-        if not isinstance(places, list) or len(places) < 4 or places[0] != places[-1]:
-            problem = "must be a closed ring of at least 3 vertices: the last position repeats the first"
-            raise ConfigError(source, at, problem)
-        rings.append([place for place, following in itertools.pairwise(places) if place != following])
-    return rings
-
-
-def zones_around(groups: list[list[list[Ring]]], where: str, source: str) -> dict[str, list[Ring]]:
+def zones_around(groups: list[list[Any]], where: str, source: str) -> dict[str, list[Ring]]:
     """Return the rings of the zones that leave the common area of the polygons of any group allowed.
 
     The keep-in zone is the area's outline, or a box around all its parts. What it has beside the area is keep-out
@@ -199,20 +206,18 @@ def zones_around(groups: list[list[list[Ring]]], where: str, source: str) -> dic
 
     Parameters
     ----------
-    groups : polygons of each group: their outline, and their holes. A group without a common area, which nothing could
-        be in, stands for the union of its polygons.
+    groups : shapely polygons (degrees) of each group. A group without a common area, which nothing could be in, stands
+        for the union of its polygons.
     where, source : name of the polygons and of the text in errors.
     """
-    if len(groups) == len(groups[0]) == len(groups[0][0]) == 1:
-        return {"keep_in": groups[0][0]}
-    import shapely  # as long as the start of a process, and rarely needed
-    from shapely.affinity import scale
-
+    if len(groups) == len(groups[0]) == 1 and not groups[0][0].interiors:
+        return {"keep_in": [places_of(groups[0][0].exterior)[:-1]]}
     areas = []
     for group in groups:
-        polygons = [_polygon(rings, where, source) for rings in group]
-        common = shapely.intersection_all(polygons)
-        areas.append(common if common.area > 0.0 else shapely.union_all(polygons))
+        if not all(polygon.is_valid for polygon in group):
+            raise ConfigError(source, where, "; ".join(map(shapely.is_valid_reason, group)))
+        common = shapely.intersection_all(group)
+        areas.append(common if common.area > 0.0 else shapely.union_all(group))
     area = shapely.MultiPolygon(_polygons(shapely.union_all(areas, grid_size=GRID_DEG)))
     outline = around = shapely.Polygon(area.geoms[0].exterior)
     if len(area.geoms) > 1:  # long edges along one another in degrees are not quite so in metres
@@ -226,45 +231,23 @@ def zones_around(groups: list[list[list[Ring]]], where: str, source: str) -> dic
         middle = gap.interiors[0].centroid.x
         for half in (shapely.box(west, south, middle, north), shapely.box(middle, south, east, north)):
             gaps += _polygons(gap & half)
-    return {"keep_in": [_vertices(outline)], "keep_out": [_vertices(gap) for gap in beside]}
-
-
-def _polygon(rings: list[Ring], where: str, source: str) -> Any:
-    """Return the shapely.Polygon of an outline and its holes."""
-    import shapely
-
-    outline, *holes = ([(place["longitude_deg"], place["latitude_deg"]) for place in ring] for ring in rings)
-    polygon = shapely.Polygon(outline, holes) if len(outline) > 2 else shapely.Polygon()
-    if polygon.is_empty or not polygon.is_valid:
-        raise ConfigError(
-            source, where, f"has no simple polygon: {shapely.is_valid_reason(polygon)}", value=outline[:1]
-        )
-    return polygon
+    zones = {"keep_in": [outline], "keep_out": beside}
+    return {zone: [places_of(polygon.exterior)[:-1] for polygon in polygons] for zone, polygons in zones.items()}
 
 
 def _polygons(geometry: Any) -> list[Any]:
     """Return the polygons of a geometry, which may be empty or have lines and points beside them."""
-    import shapely
-
     return [part for part in shapely.get_parts(geometry) if part.area > 0.0]
 
 
-def _vertices(polygon: Any) -> Ring:
-    return [{"longitude_deg": on, "latitude_deg": at} for on, at in polygon.exterior.coords[:-1]]
-
-
-def place_of(position: Any, where: str, source: str) -> dict[str, float]:
-    """Return a position [longitude, latitude, ...] as a place.
+def places_of(shape: Any) -> Ring:
+    """Return the positions of a shapely geometry (longitude and latitude, degrees) as places.
 
     Parameters
     ----------
-    position : decoded JSON.
-    where, source : name of the position and of the text in errors.
+    shape : a ring repeats its first position.
     """
-    numbers = isinstance(position, list) and len(position) >= 2 and all(type(x) in (int, float) for x in position)
-    if not numbers:
-        raise ConfigError(source, where, "must be [longitude, latitude] in degrees", value=position)
-    return {"longitude_deg": float(position[0]), "latitude_deg": float(position[1])}
+    return [{"longitude_deg": on, "latitude_deg": at} for on, at in shapely.get_coordinates(shape).tolist()]
 
 
 def text(table: Mapping[str, Any], origin: Origin | None, source: str) -> str:
@@ -281,14 +264,10 @@ def text(table: Mapping[str, Any], origin: Origin | None, source: str) -> str:
     features = []
     for zone, kind in GEOMETRY.items():
         for entry in table.get(zone, ()):
-            properties = {key: value for key, value in entry.items() if key not in ("vertices", "centre")}
-            if kind == "Point":
-                coordinates: Any = _position(entry["centre"], origin)
-            else:
-                ring = [_position(place, origin) for place in entry["vertices"]]
-                coordinates = [[*ring, ring[0]]]
-            geometry = {"type": kind, "coordinates": coordinates}
-            features.append({"type": "Feature", "properties": {"zone": zone, **properties}, "geometry": geometry})
+            ring = [_position(place, origin) for place in entry.get("vertices") or [entry["centre"]]]
+            geometry = {"type": kind, "coordinates": ring[0] if kind == "Point" else [[*ring, ring[0]]]}
+            properties = {"zone": zone} | {key: entry[key] for key in PROPERTIES if key in entry}
+            features.append({"type": "Feature", "properties": properties, "geometry": geometry})
     content = {"type": "FeatureCollection", "features": features}
     content |= {key: table[key] for key in ("margin_m", "origin") if key in table}
     return msgspec.json.format(msgspec.json.encode(content), indent=1).decode() + "\n"

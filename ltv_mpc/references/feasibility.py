@@ -36,9 +36,9 @@ def path_notes(path: Path, limits: Limits, descent_rate_mps: float) -> list[str]
     curvature, turn, _ = bends(path, limits.turn_in_m)
     corner = (turn > 0.0) & (np.abs(path.turn) > EQUAL * turn)
     bend = ~corner & (curvature > 0.0)
-    if corner.any() and (limit < EQUAL * straight)[corner].any():
-        # a corner is a run of pieces; count the first piece of each run
-        corners = int(np.count_nonzero(corner & ~np.concatenate([[False], corner[:-1]])))
+    slower = limit < EQUAL * straight
+    if (slower & corner).any():
+        corners = int(np.count_nonzero(np.diff(corner.astype(np.int64), prepend=0) > 0))  # each is a run of pieces
         sharpest = turn[corner].max()
         notes.append(
             f"{_count(corners, 'corner')} of up to {math.degrees(sharpest):.0f} degrees: speed reduced to "
@@ -51,7 +51,7 @@ def path_notes(path: Path, limits: Limits, descent_rate_mps: float) -> list[str]
             f"{_count(len(stops), 'corner')} of up to {math.degrees(stops.max()):.0f} degrees not rounded: the vehicle "
             f"stops there and turns, {float(limits.turning_s(stops).sum()):.1f} s in total"
         )
-    if bend.any() and (limit < EQUAL * straight)[bend].any():
+    if (slower & bend).any():
         radius = 1.0 / curvature[bend].max()
         notes.append(
             f"bends of {radius:.2g} m radius: speed reduced to {limit[bend].min():.2f} m/s, which the thrusts allow"

@@ -8,8 +8,7 @@ Planners, logs and mission editors write points whose corners are not corners of
 2. Points within a tolerance of the leg between two others are left out (Douglas & Peucker 1973). A leg never goes back
    along itself: the point at which the path turns back is kept.
 3. The ends of the legs move to the least-squares fit of all points. Legs that noise made of one corner become one, a
-   leg shorter than the largest tolerance between long ones too, and legs of many noisy points are halved, so that they
-   follow a curve.
+   leg shorter than the largest tolerance between long ones too.
 
     tolerance = sigma (1 + sqrt(2 ln K)), at most corner_m / 4, at least ACCURACY_M
 
@@ -53,8 +52,6 @@ EVEN, LEAST_COSINE, SAME_STEP, BULGE_M = 0.3, 0.501, 2.0, 0.015
 the step aside there, its turn below 60 degrees, the ratio of the steps beside it smaller, and the curve leaves the
 lines between the samples by more.
 """
-MANY_POINTS = 24
-"""Number of points of a leg that is halved."""
 
 
 class LegFit(NamedTuple):
@@ -168,13 +165,6 @@ def _smooth_legs(given: Array, largest_m: float) -> tuple[Array, Array]:
         ends, _ = _least_squares(p, kept, ends)
         still = np.delete(np.arange(len(ends)), _at_short_legs(ends, short_m, SHORT_OFF * tolerance, largest_m))
         still = still[_simplified(ends[still], limit[kept[still]])]
-        kept, ends = kept[still], ends[still]
-    if tolerance > ACCURACY_M:
-        halved = 1 + np.flatnonzero(np.diff(kept) >= MANY_POINTS)
-        ends = np.insert(ends, halved, 0.5 * (ends[halved] + ends[halved - 1]), axis=0)
-        kept = np.insert(kept, halved, (kept[halved] + kept[halved - 1]) // 2)
-        ends, _ = _least_squares(p, kept, ends)
-        still = _simplified(ends, ACCURACY_M)
         kept, ends = kept[still], ends[still]
     ends, at = _least_squares(p, kept, ends)
     return ends, np.interp(np.arange(len(given)), number, np.maximum.accumulate(at))

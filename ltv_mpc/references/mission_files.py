@@ -185,9 +185,10 @@ def _gpx(text: str, source: str, notes: list[str]) -> Content:
     beside = len(gpx.waypoints) if paths else 0
     paths = paths or [[point] for point in gpx.waypoints]
     if len(paths) != 1:
-        kinds = [f"{len(of)} {name}" for name, of in (("routes", gpx.routes), ("tracks", gpx.tracks))]
-        kinds.append(f"{len(gpx.waypoints)} waypoints, which have no order")
-        raise ConfigError(source, "", f"must have one route or track, it has {', '.join(kinds)}")
+        found = (
+            f"{len(gpx.routes)} routes, {len(gpx.tracks)} tracks, {len(gpx.waypoints)} waypoints, which have no order"
+        )
+        raise ConfigError(source, "", f"must have one route or track, it has {found}")
     heights, times = (sum(getattr(point, of) is not None for point in paths[0]) for of in ("elevation", "time"))
     note_unused(source, notes, waypoints_beside_it=beside, elevations=heights, times=times)
     return None, _path((point.latitude, point.longitude) for point in paths[0])
@@ -195,44 +196,24 @@ def _gpx(text: str, source: str, notes: list[str]) -> Content:
 
 def _geojson(text: str, source: str, notes: list[str]) -> Content:
     """Read the only LineString, or else the only Point, of the features that are no zones of a fence."""
-    from ltv_mpc.geofence.geojson import check_crs, place_of
+    from ltv_mpc.geofence.geojson import features_of, places_of
 
-    content = config.parse_json(text, source)
-    kind = content.get("type")
-    features = content.get("features") if kind == "FeatureCollection" else [content]
-    check_crs(content, "crs", source, notes)
-    found: dict[str, list[tuple[Any, Any, str]]] = {"LineString": [], "Point": []}
-    zones = 0
-    for k, feature in enumerate(features if isinstance(features, list) else []):
-        try:
-            properties = feature.get("properties") or {}
-            geometry = feature["geometry"] if feature["type"] == "Feature" else feature
-            if "zone" in properties:
-                zones += 1
-                continue
-            found[geometry["type"]].append((geometry["coordinates"], properties, f"features[{k}]"))
-            for of, where in ((feature, f"features[{k}].crs"), (geometry, f"features[{k}].geometry.crs")):
-                check_crs(of, where, source, notes)
-        except (AttributeError, TypeError, KeyError):
-            raise ConfigError(source, f"features[{k}]", "must be a LineString, a Point, or a zone of a fence") from None
-    paths = found["LineString"] or found["Point"]
+    content, features = features_of(text, source, notes)
+    others = [feature for feature in features if not feature.is_reference]
+    for feature in others:
+        if "zone" not in feature.properties:
+            raise ConfigError(source, feature.where, "must be a LineString, a Point, or a zone of a fence")
+    own = [feature for feature in features if feature.is_reference]
+    lines = [feature for feature in own if feature.shape.geom_type == "LineString"]
+    paths = lines or own
     if len(paths) != 1:
         raise ConfigError(source, "features", f"must hold one LineString, or else one Point, they hold {len(paths)}")
-    coordinates, properties, where = paths[0]
-    at = f"{where}.geometry.coordinates"
-    positions = coordinates if found["LineString"] else [coordinates]
-    places = [place_of(position, at, source) for position in positions]
-    beside = len(found["Point"]) if found["LineString"] else 0
-    heights = sum(len(position) > 2 for position in positions)
-    note_unused(source, notes, zones_of_a_fence=zones, points_beside_it=beside, heights=heights)
-    origin = content.get("origin")
-    try:
-        home = None if origin is None else _origin(origin["latitude_deg"], origin["longitude_deg"])
-    except (TypeError, KeyError, ValueError):
-        raise ConfigError(source, "origin", "must have latitude_deg and longitude_deg") from None
-    return home, _path(
-        ((place["latitude_deg"], place["longitude_deg"]) for place in places), properties.get("speed_mps")
-    )
+    ((_, properties, shape),) = paths
+    heights = len(places_of(shape)) if shape.has_z else 0
+    note_unused(source, notes, zones_of_a_fence=len(others), points_beside_it=len(own) - 1, heights=heights)
+    home = config.parse(content["origin"], Origin, source=f"{source}: origin") if "origin" in content else None
+    at = ((place["latitude_deg"], place["longitude_deg"]) for place in places_of(shape))
+    return home, _path(at, properties.get("speed_mps"))
 
 
 READERS = {".waypoints": _waypoints, ".plan": _plan, ".gpx": _gpx, ".geojson": _geojson, ".json": _geojson}

@@ -24,6 +24,8 @@ SPLINE, DELAY, JUMP, CHANGE_SPEED = 82, 93, 177, 178
 PLACES = (WAYPOINT, LOITER, LOITER_TURNS, LOITER_TIME, LAND, SPLINE)
 TIMED, LAST = (WAYPOINT, LOITER_TIME, SPLINE), (LOITER, RETURN)
 """Commands with a time to wait (param 1), and those behind which nothing is driven."""
+SPEED_TYPES = (0.0, 1.0)
+"""Through the air and over ground: here one speed, that of the target."""
 DRIVEN = (*PLACES, RETURN, DELAY, JUMP, CHANGE_SPEED)
 """Commands that are driven; ``LAND``, which surfaces, by a vehicle that dives."""
 
@@ -284,6 +286,10 @@ def _problem(item: Item, items: Sequence[Item], dives: bool) -> str:
         return "needs seconds (param 1)"
     if command == JUMP and not (first in {one.number for one in items[1:]} and 0.0 <= second < math.inf):
         return f"must go to an item from 1 to {items[-1].number}, and not for ever"
+    if command in TIMED and first < 0.0:
+        return f"cannot wait for {first:g} s (param 1)"
+    if command == CHANGE_SPEED and first not in SPEED_TYPES:
+        return f"type of speed {first:g} (param 1) must be 0 or 1: those of climb and descent are not driven"
     if command == CHANGE_SPEED and not (second > 0.0 or second in (-1.0, -2.0)):
         return f"speed {second:g} m/s must be above 0"
     return ""

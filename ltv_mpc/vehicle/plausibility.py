@@ -34,6 +34,8 @@ MAX_PROPELLER_OVER_THRUST = 3.0
 """Largest thrust of a propeller at the top speed over ``max_N``: a kgf is 9.8 N, a lbf 4.4 N."""
 
 ARM_OVER_SIZE = (0.02, 5.0)
+ARM_OVER_BEAM = 0.75
+"""Largest arm over the hull's beam, which thrusters at the sides hardly exceed; in feet it is 3.3 times as many."""
 REFERENCE_POINT_OVER_SIZE = 5.0
 MIN_THRUSTER_TIME_S = 0.02
 MAX_THRUSTER_TIME_S = 5.0
@@ -100,10 +102,11 @@ def _lateral_thruster_warnings(vehicle: Vehicle) -> Iterator[str]:
     size = _size(vehicle)
     for name, thruster in (("port", vehicle.thruster.port), ("starboard", vehicle.thruster.starboard)):
         low, high = (size * bound for bound in ARM_OVER_SIZE)
+        high = high if vehicle.hull is None else min(high, ARM_OVER_BEAM * vehicle.hull.beam_m)
         if thruster.arm_m == 0.0:
             yield f"[thruster.{name}] arm_m = 0: this thruster makes no yaw moment, only the other one steers"
         elif not low <= thruster.arm_m <= high:
-            fits = f"{low:.2g} to {high:.2g} m fit {vehicle.dry_mass_kg:g} kg"
+            fits = f"{low:.2g} to {high:.2g} m fit {vehicle.dry_mass_kg:g} kg and the beam"
             yield f"[thruster.{name}] arm_m = {thruster.arm_m:g}: {fits}; is it in m?"
         if thruster.min_N == 0.0:
             yield f"[thruster.{name}] min_N = 0: no thrust astern, so the vehicle cannot brake"
@@ -153,11 +156,13 @@ def _motion_warnings(vehicle: Vehicle, can: Performance) -> Iterator[str]:
 
 def _propeller_warnings(vehicle: Vehicle, top: float) -> Iterator[str]:
     largest_m = MAX_PROPELLER_OVER_SIZE * _size(vehicle)
-    for name, thruster in (("port", vehicle.thruster.port), ("starboard", vehicle.thruster.starboard)):
+    names = ("port", "starboard", "vertical")[: 3 if vehicle.can_dive else 2]
+    for name, thruster, inflow in zip(names, vehicle.thrusters, (top, top, 0.0), strict=False):
         where, diameter_m, rps = f"[thruster.{name}]", thruster.propeller_diameter_m, thruster.max_rps
         tips_mps = math.pi * diameter_m * rps
-        gives = thrust(rps, top, vehicle.water_density_kgpm3, diameter_m)
-        at_top = f"at the top speed of {top:.3g} m/s a propeller of {diameter_m:g} m gives {max(gives, 0.0):.3g} N"
+        gives = thrust(rps, inflow, vehicle.water_density_kgpm3, diameter_m)
+        at = f"the top speed of {top:.3g} m/s" if inflow else "rest"
+        at_top = f"at {at} a propeller of {diameter_m:g} m gives {max(gives, 0.0):.3g} N"
         if diameter_m > largest_m:
             fits = f"at most {largest_m:.2g} m fits {vehicle.dry_mass_kg:g} kg"
             yield f"{where} propeller_diameter_m = {diameter_m:g}: {fits}; is it in m?"

@@ -42,7 +42,9 @@ def check(
     start: Annotated[
         str | None, option("NORTH,EAST", "Position of the vehicle (m). Default: the path's start.")
     ] = None,
-    current: Annotated[float, option("V", "Speed of the water, from any side (m/s).", min=0, max=5)] = 0.0,
+    current: Annotated[
+        str | None, option("V|FILE", "Speed of the water, from any side (m/s), or the strongest of a CSV.")
+    ] = None,
     bottom: Annotated[str | None, option("D|FILE", "Depth of the bottom (m), or a CSV of soundings.")] = None,
     settings: ControllerSettings = None,
     as_json: Json = False,
@@ -70,6 +72,7 @@ def check(
         from ltv_mpc.geofence.fence import fence_for
 
         notes: list[str] = []
+        current_mps = 0.0 if current is None else _current(current, notes)
         followed = references.load(reference, notes)
         zones = fence_for(loaded, followed, fence or "", notes)
         picture = mission_check.picture(loaded, followed, zones, place)
@@ -78,7 +81,7 @@ def check(
             followed,
             zones,
             start=place,
-            current_mps=current,
+            current_mps=current_mps,
             bottom=None if bottom is None else _bottom(bottom, followed.origin),
             limits=None if settings is None else ControllerConfig.load(str(settings)).limits,
         )
@@ -122,6 +125,21 @@ def identify(
     if out is not None:
         identified = vehicle_identify.identified_vehicle(source, loaded, identification)
         _write(out, vehicle_identify.format_toml(report, identified), force=force, quiet=as_json)
+
+
+def _current(text: str, notes: list[str]) -> float:
+    """Return the speed of the water (m/s) of the option --current."""
+    from ltv_mpc.currents import read_profile
+
+    try:
+        speed_mps = float(text)
+    except ValueError:
+        profile = read_profile(text, notes)
+        depth_m, speed_mps = profile.depth_m, max(map(math.hypot, profile.north_mps, profile.east_mps))
+        notes.append(f"currents {text}: {depth_m[0]:g} to {depth_m[-1]:g} m, the strongest {speed_mps:.2g} m/s")
+    if not 0.0 <= speed_mps <= 5.0:
+        raise invalid("option --current", "must be >= 0 and <= 5 m/s, or a file of currents", value=text)
+    return speed_mps
 
 
 def _bottom(text: str, origin: Origin | None) -> float | Bathymetry:

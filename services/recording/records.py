@@ -51,6 +51,10 @@ _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
 CUT = "cut in the head of a record"
 
+NAMES = {int(opcode): opcode.name.lower().replace("_", " ") for opcode in Opcode}
+KINDS: dict[int, type[Channel | Schema | Metadata]] = {
+    Opcode.CHANNEL: Channel, Opcode.SCHEMA: Schema, Opcode.METADATA: Metadata
+}  # fmt: skip
 IN_CHUNK = frozenset(map(int, (Opcode.MESSAGE, Opcode.CHANNEL, Opcode.SCHEMA)))
 
 DECODING_ERRORS = (McapError, ValueError, OverflowError, struct.error, zstandard.ZstdError, RuntimeError, MemoryError)
@@ -154,7 +158,7 @@ class Records:
                     found = _decoded(opcode, content)
                 except DECODING_ERRORS as error:
                     why = " ".join(str(error).split()) or type(error).__name__
-                    self._lose(start, _HEAD.size + length, f"{_name(opcode)}: {why}"[:200])
+                    self._lose(start, _HEAD.size + length, f"{NAMES.get(opcode, f'record {opcode}')}: {why}"[:200])
                 else:
                     yield from filter(self._is_known, found)
 
@@ -187,20 +191,13 @@ class Records:
 
 def _decoded(opcode: int, content: bytes) -> Iterable[Record]:
     """Return the records that a record contains."""
+    if opcode == Opcode.MESSAGE:
+        return (_message(content),)
     stream = ReadDataStream(BytesIO(content))
-    match opcode:
-        case Opcode.CHUNK:
-            return _in_chunk(Chunk.read(stream))
-        case Opcode.MESSAGE:
-            return (_message(content),)
-        case Opcode.CHANNEL:
-            return (Channel.read(stream),)
-        case Opcode.SCHEMA:
-            return (Schema.read(stream),)
-        case Opcode.METADATA:
-            return (Metadata.read(stream),)
-        case _:  # an index, or a record of a later version
-            return ()
+    if opcode == Opcode.CHUNK:
+        return _in_chunk(Chunk.read(stream))
+    kind = KINDS.get(opcode)  # None: an index, or a record of a later version
+    return () if kind is None else (kind.read(stream),)
 
 
 def _in_chunk(chunk: Chunk) -> list[Record]:
@@ -244,10 +241,3 @@ def _decompressed(chunk: Chunk) -> bytes:
     elif chunk.compression:
         raise ValueError(f"compressed by {chunk.compression[:20]!r}, which is not supported")
     return data
-
-
-def _name(opcode: int) -> str:
-    try:
-        return Opcode(opcode).name.lower().replace("_", " ")
-    except ValueError:
-        return f"record {opcode}"

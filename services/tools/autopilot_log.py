@@ -4,7 +4,11 @@
     telemetry   ATTITUDE, LOCAL_POSITION_NED;  SERVO_OUTPUT_RAW;  PARAM_VALUE;  HEARTBEAT
 
 The outputs of port and starboard are those with SERVOn_FUNCTION 73 and 74 (ThrottleLeft, ThrottleRight). The vehicle
-file's ``pwm_us`` and ``pwm_N`` make thrusts of them. While the autopilot is disarmed nothing is known.
+file's ``pwm_us`` and ``pwm_N`` make thrusts of them. While the autopilot is disarmed nothing is known. DataFlash begins
+with arming (LOG_DISARMED = 0) if its first event is to disarm, or if it has none.
+
+Telemetry is of the first autopilot that it has. Its outputs are stamped in microseconds, which begin again after 71
+minutes, and all its stamps begin again when it is restarted: here they are counted on.
 """
 
 from __future__ import annotations
@@ -24,7 +28,8 @@ from ltv_mpc.config import open_file
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Array, Estimate, Times
 from ltv_mpc.vehicle.parameters import Vehicle
-from services.edges.mavlink.navigation import Accuracy, Navigation
+from services.edges.mavlink.autopilot import ARDUPILOT
+from services.edges.mavlink.navigation import RESTART_MS, Accuracy, Navigation
 
 SUFFIXES = (".bin", ".tlog")
 FMT, STX = b"\xa3\x95\x80", (b"\xfe", b"\xfd")
@@ -33,6 +38,7 @@ LEFT_RIGHT = (73, 74)
 """SERVOn_FUNCTION of port and starboard."""
 DEFAULT_OUTPUTS = (1, 3)
 """Their outputs by default, on a rover with skid steering."""
+WRAP_US = 1 << 32
 ARMED, DISARMED, SAFETY_ARMED = 10, 11, 128
 """Events of DataFlash, and the flag of HEARTBEAT.base_mode."""
 
@@ -51,7 +57,7 @@ class _Rows(NamedTuple):
     """Estimates, outputs and parameters of a log, in their order."""
 
     estimates: list[Estimate]
-    outputs: list[tuple[int, dict[int, float], bool]]  # time (ns), PWM (us) by output, armed
+    outputs: list[tuple[int, dict[int, float], bool | None]]  # time (ns), PWM (us) by output, armed; None: unknown
     functions: dict[int, int]  # SERVOn_FUNCTION by output
 
 
@@ -86,14 +92,21 @@ def read(path: Path, vehicle: Vehicle) -> AutopilotLog:
         pwm = np.array([row[1].get(output, math.nan) for row in rows.outputs])
         order = np.argsort(thruster.pwm_us)
         thrusts.append(np.interp(pwm, np.array(thruster.pwm_us)[order], np.array(thruster.pwm_N)[order]))
-    t_ns, armed = np.array([row[0] for row in rows.outputs]), np.array([row[2] for row in rows.outputs])
-    return AutopilotLog(rows.estimates, t_ns, np.column_stack(thrusts), armed, notes)
+    before = not next((row[2] for row in rows.outputs if row[2] is not None), False)
+    t_ns, armed = (
+        np.array([row[0] for row in rows.outputs]),
+        [before if row[2] is None else row[2] for row in rows.outputs],
+    )
+    if rows.outputs[-1][2] is None:
+        notes.append("no ARM in the log: it is taken as armed from begin to end")
+    return AutopilotLog(rows.estimates, t_ns, np.column_stack(thrusts), np.array(armed), notes)
 
 
 def _data_flash(path: Path, navigation: Navigation) -> _Rows:
     from pymavlink import DFReader
 
-    rows, armed, rates = _Rows([], [], {}), False, (0.0, 0.0)
+    rows, rates = _Rows([], [], {}), (0.0, 0.0)
+    armed: bool | None = None
     for message in _messages(DFReader.DFReader_binary(str(path), zero_time_base=True)):
         kind = message.get_type()
         if kind in ("XKF1", "NKF1") and getattr(message, "C", 0) == 0:
@@ -121,21 +134,48 @@ def _data_flash(path: Path, navigation: Navigation) -> _Rows:
 def _telemetry(path: Path, navigation: Navigation) -> _Rows:
     from pymavlink import mavutil
 
-    rows, armed = _Rows([], [], {}), False
+    rows, armed, system, boot = _Rows([], [], {}), False, 0, _BootTime()
     for message in _messages(mavutil.mavlogfile(str(path))):
-        kind = message.get_type()
-        if kind == "HEARTBEAT" and message.get_srcComponent() == 1:
-            armed = bool(message.base_mode & SAFETY_ARMED)
-        elif kind == "ATTITUDE":
-            rows.estimates.extend(navigation.attitude(message))
-        elif kind == "LOCAL_POSITION_NED":
-            rows.estimates.extend(navigation.position(message))
+        kind, by = message.get_type(), message.get_srcSystem()
+        if by != (system or by):
+            continue
+        if kind == "HEARTBEAT" and message.get_srcComponent() == 1 and message.autopilot == ARDUPILOT:
+            system, armed = by, bool(message.base_mode & SAFETY_ARMED)
+        elif system == 0:
+            continue
+        elif kind in ("ATTITUDE", "LOCAL_POSITION_NED"):
+            message.time_boot_ms = boot.add(message.time_boot_ms)
+            take = navigation.attitude if kind == "ATTITUDE" else navigation.position
+            rows.estimates.extend(take(message))
         elif kind == "SERVO_OUTPUT_RAW" and message.port == 0:
             pwm = {n: float(getattr(message, f"servo{n}_raw")) for n in range(1, 9)}
-            rows.outputs.append((message.time_usec * 1000, pwm, armed))
+            t_ns = boot.of_us(message.time_usec) * 1000
+            if not rows.outputs or t_ns > rows.outputs[-1][0]:
+                rows.outputs.append((t_ns, pwm, armed))
         elif kind == "PARAM_VALUE":
             _parameter(rows, message.param_id, message.param_value)
     return rows
+
+
+class _BootTime:
+    """Time since the first start of an autopilot, counted on when it starts again."""
+
+    def __init__(self) -> None:
+        self._newest_ms = self._before_ms = 0
+
+    def add(self, boot_ms: int) -> int:
+        """Return the time (ms) of a stamp (ms since the newest start)."""
+        if self._before_ms + boot_ms < self._newest_ms - RESTART_MS:
+            self._before_ms = self._newest_ms + RESTART_MS
+        ms = self._before_ms + boot_ms
+        self._newest_ms = max(ms, self._newest_ms)
+        return ms
+
+    def of_us(self, boot_us: int) -> int:
+        """Return the time (us) of a stamp of 32 bits (us since the newest start), which is near the newest."""
+        newest_us = (self._newest_ms - self._before_ms) * 1000
+        late_us = (newest_us - boot_us + WRAP_US // 2) % WRAP_US - WRAP_US // 2
+        return self._newest_ms * 1000 - late_us
 
 
 def _messages(log: Any) -> Iterator[Any]:

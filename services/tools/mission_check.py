@@ -186,19 +186,18 @@ def _metres(value: float | None) -> str:
 
 def _schedule(vehicle: Vehicle, reference: Reference, start: Pair | None) -> tuple[Schedule | None, Array, float]:
     """Return the schedule, a point's with one place and None for an unknown one, depths (m) and largest speed (m/s)."""
-    anchor = None if start is None else reference.anchor(Estimate.at_rest(north_m=start[0], east_m=start[1]))
-    if not isinstance(reference, Point | Hold):
-        schedule = reference.schedule(vehicle, anchor)
-        t, s, *_, depth = schedule.table
-        moving = np.diff(t) > 0.0
-        speed = np.diff(s)[moving] / np.diff(t)[moving]
-        return schedule, depth, min(float(speed.max(initial=0.0)), path_limits(vehicle).top_mps)
-    depth_m = math.nan if reference.depth_m is None else reference.depth_m
-    if isinstance(reference, Hold) and anchor is None:
-        return None, np.array([depth_m]), 0.0
-    place = reference.position(anchor or reference.anchor(Estimate.at_rest()))
-    column = np.array([[0.0, 0.0, *place, depth_m]]).T
-    return Schedule(np.hstack([column, column]), 0.0), column[-1], 0.0
+    if isinstance(reference, Hold) and start is None:
+        return None, np.array([math.nan if reference.depth_m is None else reference.depth_m]), 0.0
+    north_m, east_m = start or (0.0, 0.0)
+    anchor = reference.anchor(Estimate.at_rest(north_m=north_m, east_m=east_m))
+    if isinstance(reference, Point | Hold):
+        schedule = reference.schedule(vehicle, anchor)._replace(lead_m=0.0)
+    else:
+        schedule = reference.schedule(vehicle, None if start is None else anchor)
+    t, s, *_, depth = schedule.table
+    moving = np.diff(t) > 0.0
+    speed_mps = float((np.diff(s)[moving] / np.diff(t)[moving]).max(initial=0.0))
+    return schedule, depth, min(speed_mps, path_limits(vehicle).top_mps)
 
 
 def _width_problems(narrowest: Pair | None, needed_m: float, drift_m: float, current_mps: float) -> Iterator[str]:

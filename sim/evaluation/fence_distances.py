@@ -75,12 +75,10 @@ def _clearance(zone: ZoneInForce, points: Array) -> Array:
     """
     import shapely  # takes a tenth of a second, and only a fence needs it
 
-    if len(zone.vertices_m) == 1:
-        circle: Array = np.hypot(*(points - zone.vertices_m).T) - zone.radius_m
-        return circle
-    area = shapely.Polygon(zone.vertices_m)
+    ring = zone.vertices_m
+    area = shapely.Polygon(ring) if len(ring) > 2 else shapely.MultiPoint(ring)  # any publisher may give fewer
     shapely.prepare(area)
+    distance = shapely.distance(area.exterior if len(ring) > 2 else area, shapely.points(points))
     allowed = shapely.contains_xy(area, *points.T) == zone.keep_in
-    distance = shapely.distance(area.exterior, shapely.points(points))
     clearance: Array = np.where(allowed, distance, -distance) - zone.radius_m
     return clearance

@@ -28,7 +28,7 @@ from services.edges.mavlink.autopilot import Autopilot
 from services.edges.mavlink.codec import COMPONENT, Codec, frames_of
 from services.edges.mavlink.download import ListRefused
 from services.edges.mavlink.mission import NOTICE, WARNING, MissionFollower
-from services.edges.mavlink.navigation import MS, Accuracy, Navigation
+from services.edges.mavlink.navigation import CONST_POSITION, MS, Accuracy, Navigation
 from services.edges.plan_follower import AppliedReporter
 
 INTERVALS_US = {"SYSTEM_TIME": (2, 1_000_000), "ATTITUDE": (30, 50_000), "LOCAL_POSITION_NED": (32, 100_000),
@@ -108,10 +108,9 @@ class MavlinkEdge(Edge):
             self._numbers.add(message.get_srcSystem(), message.get_seq())
             self.lost = self._numbers.lost
         if kind == "HEARTBEAT":
-            known = self.autopilot.kind is not None
-            self.autopilot.heartbeat(message, frame.now_us)
-            if not known:
+            if self.autopilot.kind is None:
                 self._asked_us = -SECOND_US  # its messages are asked for at once
+            self.autopilot.heartbeat(message, frame.now_us)
         elif self.autopilot.is_from(message) and self._is_mine(message):
             self._seen_us[kind] = frame.now_us
             yield from self._take_in(kind, message, frame.now_us)
@@ -244,7 +243,7 @@ class MavlinkEdge(Edge):
             case "ODOMETRY":
                 return self.navigation.odometry(message)
             case "EKF_STATUS_REPORT":
-                return self.navigation.filter_status(message)
+                self.navigation.has_position = not message.flags & CONST_POSITION
             case "SYSTEM_TIME":
                 self.clock.update(message.time_boot_ms * MS, now_us)
             case "TIMESYNC" if message.tc1 != 0:  # an answer, and no request

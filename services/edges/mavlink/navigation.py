@@ -87,7 +87,8 @@ class Navigation:
         self._last: _Position | None = None  # newest position
         self._odometry = False
         self._reset_counter = -1
-        self._has_position = True
+        self.has_position = True
+        """False while the EKF is in its mode of constant position: positions are refused."""
         self.resets = 0
         self.restarts = 0
 
@@ -110,7 +111,7 @@ class Navigation:
 
     def position(self, message: Any) -> Iterator[Estimate]:
         """Add a LOCAL_POSITION_NED; yield the estimates whose attitude is known. Raises ``Refused``."""
-        if not self._has_position:
+        if not self.has_position:
             raise Refused("position: the EKF has none")
         if self._odometry:
             raise Refused("position: the odometry is in use")
@@ -128,11 +129,6 @@ class Navigation:
         self._last = sample
         self._waiting.append(sample)
         return self._ready()
-
-    def filter_status(self, message: Any) -> Iterator[Estimate]:
-        """Take an EKF_STATUS_REPORT: a filter in its mode of constant position has no position."""
-        self._has_position = not message.flags & CONST_POSITION
-        return iter(())
 
     def odometry(self, message: Any) -> Iterator[Estimate]:
         """Convert an ODOMETRY of the local NED frame, body FRD. Raises ``Refused``."""

@@ -151,7 +151,8 @@ def localise(
     noise = BeamNoise(dive, parameters.min_good_share)
     track = run(dive, noise, parameters, fixes=fixes)
     ground = dead_reckon(dive)
-    error = _error(dive, ground, track, fixes)
+    after = window_end(ground, 0)
+    error = None if after is None else evaluate_track(dive, ground, track, start=0, end=after, offered_fixes=fixes)
     many = _study(ensembles, seen, parameters, fixes, progress)
     result = LocalisationResult(
         file=str(path),
@@ -225,52 +226,37 @@ def _inconsistency(track: Track, many: StudyRow | None) -> list[str]:
 
 
 def _first(ensembles: Sequence[Ensemble], start_depth_m: float | None, source: str) -> int:
-    if start_depth_m is None:
-        return 0
-    for k, ensemble in enumerate(ensembles):
-        if ensemble.depth_m >= start_depth_m:
-            return k
     deepest = max(e.depth_m for e in ensembles)
+    if start_depth_m is None or deepest >= start_depth_m:
+        return next(k for k, e in enumerate(ensembles) if start_depth_m is None or e.depth_m >= start_depth_m)
     problem = f"no ensemble of {source} is that deep: the deepest is at {deepest:.1f} m"
     raise ConfigError("option --start-depth-m", "", problem, value=start_depth_m)
 
 
 def _instrument(settings: Settings, noise: BeamNoise) -> InstrumentRow:
+    same = ("frequency_kHz", "bins_mapped", "cells", "cell_m", "first_cell_m", "pings")
     return InstrumentRow(
-        frequency_kHz=settings.frequency_kHz,
+        **{name: getattr(settings, name) for name in same},
         beam_angle_deg=round(math.degrees(settings.beam_angle_rad), 6),
         looks="up" if settings.upward else "down",
         coordinates=settings.coordinates.name.lower(),
-        bins_mapped=settings.bins_mapped,
-        cells=settings.cells,
-        cell_m=settings.cell_m,
-        first_cell_m=settings.first_cell_m,
-        pings=settings.pings,
         beam_sd_mps=float(np.median(noise.sd_mps(settings))),
     )
 
 
 def _track(track: Track, dive: Sequence[BeamEnsemble], number: int) -> TrackRow:
     north, east = track.position_m[-1].tolist()
+    same = ("fixes", "cells_used", "cells_screened", "cells_rejected", "nis")
     return TrackRow(
+        **{name: getattr(track, name) for name in same},
         start_ensemble=number,
         start_depth_m=dive[0].depth_m,
         ensembles=len(dive),
         duration_s=float(track.t_s[-1]),
-        fixes=track.fixes,
         end_north_m=north,
         end_east_m=east,
         end_sigma_m=float(np.sqrt(np.linalg.eigvalsh(track.position_covariance[-1])[-1])),
-        cells_used=track.cells_used,
-        cells_screened=track.cells_screened,
-        cells_rejected=track.cells_rejected,
-        nis=track.nis,
     )
-
-
-def _error(dive: Sequence[BeamEnsemble], ground: BottomTrackPath, track: Track, fixes: int) -> StartResult | None:
-    end = window_end(ground, 0)
-    return None if end is None else evaluate_track(dive, ground, track, start=0, end=end, offered_fixes=fixes)
 
 
 def _study(
@@ -307,43 +293,31 @@ def _study(
 
 
 def _notes(settings: Settings, dive: Sequence[BeamEnsemble], track: Track, why: str) -> list[str]:
-    notes = [why] if why else []
-    setups = len({e.settings.setup for e in dive})
-    if setups > 1:
-        notes.append(f"the instrument changes its cells or pings: {setups} setups; the first is shown")
-    if track.fixes == 0:
-        notes.append("no fix by bottom track: the initial velocity, and so the track, is unknown")
-    if not any(np.isfinite(e.bottom_mps[:2]).all() for e in dive):
-        notes.append("no bottom track in the dive: nothing to compare the track with")
-    if settings.heading_alignment_rad or settings.heading_bias_rad:
-        notes.append(
-            "heading alignment or bias (EA, EB) is set: not applied, north is the north of the file's headings"
-        )
-    if track.cells_used == 0:
-        notes.append("no water cell could be used: the track follows the fixes only")
-    return notes
+    setups, turned = len({e.settings.setup for e in dive}), settings.heading_alignment_rad or settings.heading_bias_rad
+    tracks_bottom = any(np.isfinite(e.bottom_mps[:2]).all() for e in dive)
+    notes = {
+        why: why != "",
+        f"the instrument changes its cells or pings: {setups} setups; the first is shown": setups > 1,
+        "no fix by bottom track: the initial velocity, and so the track, is unknown": track.fixes == 0,
+        "no bottom track in the dive: nothing to compare the track with": not tracks_bottom,
+        "heading alignment or bias (EA, EB) is set: not applied, north is the north of the file's headings": turned,
+        "no water cell could be used: the track follows the fixes only": track.cells_used == 0,
+    }
+    return [note for note, holds in notes.items() if holds]
 
 
 def _truth(ground: BottomTrackPath) -> Array:
     """Return bottom track's position at every ensemble, relative to the first."""
-    nowhere = np.full(2, np.nan)
-    shown = [ground.displacement(0, k) for k in range(len(ground.t_s))]
-    return np.array([nowhere if x is None else x for x in shown])
+    shown = (ground.displacement(0, k) for k in range(len(ground.t_s)))
+    return np.array([np.full(2, np.nan) if x is None else x for x in shown])
 
 
 def _table(outcome: Outcome) -> str:
     """Format track.csv; a cell is empty where bottom track is not available."""
-    track = outcome.track
+    track, depth_m = outcome.track, [ensemble.depth_m for ensemble in outcome.ensembles]
+    sigma_m = np.sqrt(np.linalg.eigvalsh(track.position_covariance)[:, -1].clip(0))
+    columns = (track.t_s, depth_m, track.position_m, sigma_m, track.velocity_mps, outcome.truth_m)
     lines = [",".join(COLUMNS)]
-    for k, ensemble in enumerate(outcome.ensembles):
-        sigma = math.sqrt(float(np.linalg.eigvalsh(track.position_covariance[k])[-1].clip(0)))
-        numbers = (
-            track.t_s[k],
-            ensemble.depth_m,
-            *track.position_m[k],
-            sigma,
-            *track.velocity_mps[k],
-            *outcome.truth_m[k],
-        )
+    for ensemble, numbers in zip(outcome.ensembles, np.column_stack(columns), strict=True):
         lines.append(",".join([str(ensemble.t_ns), *("" if math.isnan(x) else f"{x:.4f}" for x in numbers)]))
     return "\n".join(lines) + "\n"

@@ -57,16 +57,13 @@ def _error_text(e: StartResult | None) -> str:
 def _study_text(s: StudyRow | None) -> str:
     if s is None:
         return f"no start {_STARTS} with bottom track {WINDOW_S:g} s later"
+    ratio = "" if s.ratio is None else f" ratio {s.ratio:.2f},"
     return (
         f"{s.starts} starts {_STARTS}: median {s.median_error_m:.1f} m after {WINDOW_S:g} s,"
-        f" constant velocity {_metres(s.median_constant_velocity_error_m)},{_ratio_text(s)}"
+        f" constant velocity {_metres(s.median_constant_velocity_error_m)},{ratio}"
         f" inside 3 sigma {100 * s.inside_3_sigma:.0f} %"
     )
 
 
 def _metres(distance_m: float | None) -> str:
     return "unknown" if distance_m is None else f"{distance_m:.1f} m"
-
-
-def _ratio_text(s: StudyRow) -> str:
-    return "" if s.ratio is None else f" ratio {s.ratio:.2f},"

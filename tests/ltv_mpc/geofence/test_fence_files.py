@@ -127,13 +127,17 @@ def test_what_a_fence_does_not_use_is_a_note(tmp_path: Path) -> None:
     [
         ("f.plan", "{}", "is no fence: 'mission'"),
         ("f.kml", "<kml/>", "is KML: convert it, as with ogr2ogr f.geojson f.kml"),
-        ("f.plan", plan([], [(True, [50.2, -5.1], -5.0)]), "circles[0] radius = -5.0: must be above 0"),
+        (
+            "f.plan",
+            plan([], [(True, [50.2, -5.1], -5.0)]),
+            "item 0 MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION (5003) radius = -5.0: must be",
+        ),
         ("f.plan", plan([], []), "no zone: give at least one"),
-        ("f.waypoints", items(ITEM_0, item(5001, 3.0), item(5002, 3.0)), "item 2: the polygon before it has 1 of 3"),
+        ("f.waypoints", items(ITEM_0, item(5001, 3.0), item(5002, 3.0)), "(5002): the polygon before it has 1 of 3"),
         ("f.waypoints", items(ITEM_0, item(5001, 3.0)), "the last polygon has 1 of 3 vertices"),
         ("f.waypoints", items(item(16), item(16)), "item 1 MAV_CMD_NAV_WAYPOINT (16): is no part of a fence"),
         ("f.waypoints", items(item(5003, 9.0)), "has no home"),
-        ("f.waypoints", items(ITEM_0, item(5003)), "item 1 radius = 0"),
+        ("f.waypoints", items(ITEM_0, item(5003)), "item 1 MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION (5003) radius = 0"),
     ],
 )
 def test_what_is_no_fence_is_refused_by_item(tmp_path: Path, name: str, text: str, says: str) -> None:

@@ -159,7 +159,7 @@ def test_what_a_file_holds_beside_its_path_is_a_note(tmp_path: Path) -> None:
         ("m.plan", "2 zones of its geofence, 1 rally points, 2 altitudes"),
         ("m.txt", "1 altitudes"),
         ("m.waypoints", "1 altitudes"),
-        ("m.json", "1 zones of a fence, 1 points beside it, 1 heights"),
+        ("m.json", "1 zones of a fence, 1 points beside it, 2 heights"),
     ):
         notes: list[str] = []
         read = references.load(str(tmp_path / name), notes)

@@ -70,8 +70,9 @@ def test_vehicles_from_30_kg_to_3_t_give_no_warning() -> None:
         (SURGE, "[surge]\nmass_kg = 150.0\n", r"[surge] mass_kg = 150: 0.75 x dry_mass_kg"),
         ("inertia_kgm2 = 179.049", "inertia_kgm2 = 0.179", "[yaw] inertia_kgm2 = 0.179: a radius of gyration of"),
         ("inertia_kgm2 = 179.049", "inertia_kgm2 = 179049.0", "[yaw] inertia_kgm2 = 179049: a radius of gyration"),
-        ("arm_m = 0.2 ", "arm_m = 0.0002 ", "[thruster.port] arm_m = 0.0002: 0.012 to 2.9 m fit 200 kg; is it in m?"),
-        ("arm_m = 0.2 ", "arm_m = 20.0 ", "[thruster.starboard] arm_m = 20: 0.012 to 2.9 m fit 200 kg"),
+        ("arm_m = 0.2 ", "arm_m = 0.0002 ", "[thruster.port] arm_m = 0.0002: 0.012 to 0.49 m fit 200 kg"),
+        ("arm_m = 0.2 ", "arm_m = 20.0 ", "[thruster.starboard] arm_m = 20: 0.012 to 0.49 m fit 200 kg"),
+        ("arm_m = 0.2 ", "arm_m = 0.656 ", "[thruster.port] arm_m = 0.656: 0.012 to 0.49 m fit 200 kg and the beam"),
         ("arm_m = 0.2                    # m left", "arm_m = 0.0 # m left", "[thruster.port] arm_m = 0: this"),
         ("[surge]", "[reference_point]\nforward_m = 50.0\n[surge]", "[reference_point] forward_m = 50: within 2.9 m"),
         ("max_N = 62.5 ", "max_N = 0.0625 ", "is the thrust in kN or gf"),
@@ -98,6 +99,19 @@ def test_a_wrong_value_is_named(before: str, after: str, says: str, tmp_path: Pa
     (tmp_path / "mine.toml").write_text(PAPER.replace(before, after, 1 if before == SWAY else -1))
     sentences = warnings_of(Vehicle.load(str(tmp_path / "mine.toml")))
     assert any(says in sentence for sentence in sentences), sentences
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "says"),
+    [("max_rps", 432.0, "rev/min"), ("propeller_diameter_m", 9.8, "at most 0.7 m"), ("max_N", 6.37, "kgf or lbf")],
+)
+def test_a_wrong_value_of_the_vertical_thruster_alone_is_named(field: str, value: float, says: str) -> None:
+    paper = Vehicle.load("paper")
+    vertical = msgspec.structs.replace(paper.thrusters[2], **{field: value})
+    thrusters = msgspec.structs.replace(paper.thruster, vertical=vertical)
+    (sentence, *_) = warnings_of(msgspec.structs.replace(paper, thruster=thrusters))
+    assert sentence.startswith(f"[thruster.vertical] {field} = {value:g}")
+    assert says in sentence
 
 
 def test_a_thruster_without_any_delay_gives_a_warning(tmp_path: Path) -> None:

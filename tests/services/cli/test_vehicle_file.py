@@ -111,6 +111,14 @@ def test_check_says_what_of_a_mission_cannot_be_and_exits_with_1(here, capsys) -
     assert 'keep_out_disc[0] "buoy"' in capsys.readouterr().out
     assert run(["vehicle", "check", "paper", "--reference", "descent", "--bottom", "500", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["mission"]["problems"] == []
+    (here / "water.csv").write_text("depth_m;v_north_mps;u_east_mps\n20;0,03;0,04\n0;0,01;0\n")
+    assert run(["vehicle", "check", "paper", "--reference", "descent", "--current", "water.csv", "--json"]) == 0
+    mission = json.loads(capsys.readouterr().out)["mission"]
+    assert mission["current_mps"] == pytest.approx(0.05)
+    assert mission["notes"][0].endswith("the depths descend in the file")
+    assert mission["notes"][1].endswith("0 to 20 m, the strongest 0.05 m/s")
+    assert run(["vehicle", "check", "paper", "--reference", "descent", "--current", "5.1"]) == 2
+    assert "option --current: " in capsys.readouterr().err
     (here / "bottom.csv").write_text("north_m,east_m,depth_m\n-50,-50,9\n-50,50,9\n50,-50,9\n50,50,9\n")
     (here / "line.toml").write_text(
         'kind = "line"\nspeed_mps = 0.3\ndepth_m = 8.0\nstart = { north_m = 0, east_m = 0 }\n'

@@ -65,7 +65,9 @@ def over_ground(x: tuple[float, ...]) -> tuple[float, float]:
     return x[2] * math.cos(x[4]) - x[3] * math.sin(x[4]), x[2] * math.sin(x[4]) + x[3] * math.cos(x[4])
 
 
-def data_flash(path: Path, functions: dict[str, float]) -> None:
+def data_flash(path: Path, functions: dict[str, float], events: dict[int, int]) -> None:
+    """Write a log; ``events`` are the new states of arming by the number of the sample."""
+
     def row(name: str, *values: Any) -> bytes:
         number, letters, _ = FORMATS[name]
         return HEADER + bytes([number]) + struct.pack("<" + "".join(LETTERS[one] for one in letters), *values)
@@ -81,8 +83,8 @@ def data_flash(path: Path, functions: dict[str, float]) -> None:
     for name, value in functions.items():
         data += row("PARM", 0, name.encode(), value, 0.0)
     for k, (t_us, x, pwm) in enumerate(drive()):
-        if k == 20:
-            data += row("ARM", t_us, 1, 0, 0, 0)
+        if k in events:
+            data += row("ARM", t_us, events[k], 0, 0, 0)
         north, east = over_ground(x)
         data += row("IMU", t_us, 0, 0.0, 0.0, x[5], 0.0, 0.0, -9.8)
         data += row(
@@ -92,51 +94,65 @@ def data_flash(path: Path, functions: dict[str, float]) -> None:
     path.write_bytes(data)
 
 
-def telemetry(path: Path) -> None:
-    make, data = codec(), bytearray()
+def telemetry(path: Path, started_us: int, restarts: bool) -> None:
+    """Write a log that begins so long after the start of the autopilot, which ``restarts`` in the middle."""
+    make, other, data = codec(), codec(2), bytearray()
 
-    def add(t_us: int, message: Any) -> None:
+    def add(t_us: int, message: Any, by: Any = make) -> None:
         nonlocal data
-        data += struct.pack(">Q", 1_700_000_000_000_000 + t_us) + make.encode(message)
+        data += struct.pack(">Q", 1_700_000_000_000_000 + t_us) + by.encode(message)
 
-    for k, (t_us, x, pwm) in enumerate(drive()):
+    middle = len(drive()) // 2
+    for k, (drive_us, x, pwm) in enumerate(drive()):
+        t_us = drive()[k - middle].t_us if restarts and k >= middle else started_us + drive_us
         north, east = over_ground(x)
+        add(t_us, other.make.attitude_encode(t_us // 1000, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0), other)
         if k % 10 == 0:
             add(t_us, make.make.heartbeat_encode(10, 3, 128 if k >= 20 else 0, 0, 4))
         add(t_us, make.make.attitude_encode(t_us // 1000, 0.0, 0.0, math.remainder(x[4], 2 * math.pi), 0.0, 0.0, x[5]))
         add(t_us, make.make.local_position_ned_encode(t_us // 1000, x[0], x[1], 0.0, north, east, 0.0))
-        add(t_us, make.make.servo_output_raw_encode(t_us, 0, pwm[0], 1500, pwm[1], 1500, 0, 0, 0, 0))
+        add(t_us, make.make.servo_output_raw_encode(t_us % 2**32, 0, pwm[0], 1500, pwm[1], 1500, 0, 0, 0, 0))
     path.write_bytes(data)
 
 
-@pytest.mark.parametrize("kind", ["boat.BIN", "boat.tlog"])
+FUNCTIONS = {"SERVO1_FUNCTION": 74.0, "SERVO3_FUNCTION": 73.0}
+KINDS = {
+    "armed later.BIN": lambda path: data_flash(path, FUNCTIONS, {20: 1}),
+    "armed before, as by LOG_DISARMED = 0.bin": lambda path: data_flash(path, FUNCTIONS, {len(drive()) - 20: 0}),
+    "without arming.bin": lambda path: data_flash(path, FUNCTIONS, {}),
+    "outputs whose stamps begin again.tlog": lambda path: telemetry(path, 2**32 - 70_000_000, False),
+    "an hour and a half after the start.tlog": lambda path: telemetry(path, 5_400_000_000, False),
+    "restarted.tlog": lambda path: telemetry(path, 1_000_000_000, True),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
 def test_the_vehicle_that_made_a_log_is_found(kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log, wrong = tmp_path / kind, tmp_path / "wrong.toml"
-    if kind.endswith("BIN"):
-        data_flash(log, {"SERVO1_FUNCTION": 74.0, "SERVO3_FUNCTION": 73.0})
-    else:
-        telemetry(log)
+    KINDS[kind](log)
     surge, sway = BOAT.surge, BOAT.sway
     other = msgspec.structs.replace(
         BOAT,
-        surge=msgspec.structs.replace(surge, mass_kg=22.0, quadratic_damping_kgpm=13.0),
-        sway=msgspec.structs.replace(sway, mass_kg=34.0),
+        surge=msgspec.structs.replace(surge, mass_kg=20.0, quadratic_damping_kgpm=12.0),
+        sway=msgspec.structs.replace(sway, mass_kg=30.0),
     )
     wrong.write_text(to_toml(other))
     assert run(["vehicle", "identify", str(log), "--vehicle", str(wrong), "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
     assert report["input"] == "pwm"
-    assert report["left_out_s"] == pytest.approx(2.0, abs=0.3)  # disarmed
+    out_s = 0.0 if kind.startswith("without") else 2.0  # disarmed
+    assert report["left_out_s"] == pytest.approx(out_s, abs=0.5)
+    assert any("no ARM in the log" in warning for warning in report["warnings"]) is kind.startswith("without")
     found = {one["name"]: one for one in report["found"]}
     for name, true in (("mass_surge", surge.mass_kg), ("mass_sway", sway.mass_kg)):
         assert found[name]["excited"]
         assert found[name]["value"] == pytest.approx(true, rel=0.1)
-    assert any("SERVOn_FUNCTION" in warning for warning in report["warnings"]) is (kind == "boat.tlog")
+    assert any("SERVOn_FUNCTION" in warning for warning in report["warnings"]) is kind.endswith("tlog")
 
 
 def test_a_log_that_cannot_be_used_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log = tmp_path / "boat.bin"
-    data_flash(log, {"SERVO1_FUNCTION": 26.0})
+    data_flash(log, {"SERVO1_FUNCTION": 26.0}, {20: 1})
     for arguments, says in (
         ([str(log), "--vehicle", "bluerobotics-boat"], "SERVOn_FUNCTION: must have (73, 74)"),
         ([str(log), "--vehicle", "paper"], "SERVOn_FUNCTION"),
@@ -147,6 +163,6 @@ def test_a_log_that_cannot_be_used_is_one_line(tmp_path: Path, capsys: pytest.Ca
         error = capsys.readouterr().err
         assert says in error
         assert "Traceback" not in error
-    data_flash(log, {"SERVO1_FUNCTION": 73.0, "SERVO3_FUNCTION": 74.0})
+    data_flash(log, FUNCTIONS, {20: 1})
     assert run(["vehicle", "identify", str(log), "--vehicle", "paper"]) == 2
     assert "[thruster.port] pwm_us: is missing" in capsys.readouterr().err

@@ -81,6 +81,9 @@ NOTCH = ring((-20, -20), (-20, 20), (120, 20), (120, -20), (60, -20), (60, 5), (
 GAP = out(disc(50, -1, 3), box(40, 60, 6, 12), margin_m=0.5)
 BEYOND = f"hull {2.0 + HULL_M:.3g} m beyond the boundary of keep_out_disc[0]"
 BESIDE = f"vehicle holds at (100.0, {-3.0 - HULL_M:.1f}) instead, {3.0 + HULL_M:.1f} m away"
+SINKING = Line(
+    start=Place(north_m=0.0, east_m=0.0, depth_m=0.0), end=Place(north_m=100.0, east_m=0.0, depth_m=9.0), speed_mps=0.3
+)
 RISING = ground((-10.0, 23.0), (110.0, 11.0))  # from 22 m by 1 m in 10 m: from north 40 m on less than 18 m deep
 LACK = "by up to 6.0 m at 100 m of the path (north 100 m, east 0 m): depth 15.0 m, bottom 12.0 m, min_altitude_m = 3"
 
@@ -88,6 +91,7 @@ CASES: tuple[tuple[Fence | None, dict[str, Any], tuple[str, ...]], ...] = (
     (out(disc(50, 30, 5), keep_in=(YARD,)), {}, ()),
     (out(keep_in=(box(5, 150, -50, 50),)), {}, (f"start is not allowed: hull {5.0 + HULL_M:.3g} m beyond",)),
     (out(box(50, 53, -30, 30), disc(20, 0, 2), margin_m=1.0, keep_in=(BASIN,)), {}, ("no way round keep_out[0]: 7.2",)),
+    (out(box(50, 53, -30, 30), margin_m=1.0, keep_in=(BASIN,)), {"reference": SINKING}, ("no way round keep_out[0]",)),
     (out(disc(100, 3, 5), margin_m=1.0), {}, (f"end of the path is not allowed (keep_out_disc[0]): the {BESIDE}",)),
     (out(margin_m=1.0, keep_in=(box(-1, 101, -1, 1),)), {}, ("start is not", "(keep_in[0]), and no allowed point")),
     (WALLS, in_current(0.25), ("the corridor is 4.0 m wide at 40 m of the path: the vehicle needs 5.2 m",)),

@@ -399,8 +399,8 @@ def test_the_items_of_a_fence_are_its_zones() -> None:
     ("items", "says"),
     [
         ([*square(5001)[:3], *square(5002, 3)], "3 of 4 vertices"),
-        ([item(0, 5004, math.nan)], "item 0 radius"),
-        ([item(0, 5003, -1.0)], "item 0 radius"),
+        ([item(0, 5004, math.nan)], r"item 0 \w+ \(5004\) radius"),
+        ([item(0, 5003, -1.0)], r"item 0 \w+ \(5003\) radius"),
         ([square(5001)[at] for at in (0, 2, 1, 3)], "meet"),
         ([item(at, 5002, 400.0, north_m=at % 400, east_m=(at % 400) ** 2 / 100.0) for at in range(3200)], "fence_toml"),
     ],
