@@ -26,6 +26,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from ltv_mpc.errors import with_reason
 from ltv_mpc.geofence.fence import Fence
 from ltv_mpc.messages import (
     Applied,
@@ -339,7 +340,7 @@ class RunMetrics:
         self.fence.add_plan(plan)
         self.qp_status[plan.solve.status.value] += 1
         self.plan_origin[plan.origin.value] += 1
-        self.health[f"{plan.health.value}: {plan.health_why}" if plan.health_why else plan.health.value] += 1
+        self.health[with_reason(plan.health.value, plan.health_why)] += 1
         self.delays.add_plan(plan, epoch, sequence, t_ns)
         self.track.add_plan(plan)
 

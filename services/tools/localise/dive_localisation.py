@@ -185,20 +185,15 @@ def dive_end(ensembles: Sequence[Ensemble], first: int, longest_gap_s: float) ->
     return len(ensembles), ""
 
 
-def write(outcome: Outcome, folder: Path) -> str:
-    """Write localise.json, track.csv, currents.csv and localise.html; return why the plots are missing, else ""."""
+def write(outcome: Outcome, folder: Path) -> None:
+    """Write localise.json, track.csv, currents.csv and localise.html; raises ``NoPlotly`` instead of the last."""
     plain = msgspec.json.format(msgspec.json.encode(outcome.result), indent=2)
     (folder / "localise.json").write_bytes(plain + b"\n")
     (folder / "track.csv").write_text(_table(outcome), encoding="utf-8")
     write_profile(folder / "currents.csv", outcome.track.water)
-    from services.reporting.static_files import NoPlotly
     from services.tools.localise import plot
 
-    try:
-        plot.write(outcome, folder / "localise.html")
-    except NoPlotly as error:
-        return f"no plots: {error}"
-    return ""
+    plot.write(outcome, folder / "localise.html")
 
 
 def _of_head(recording: Recording, head: str | None) -> tuple[Sequence[Ensemble], list[str]]:

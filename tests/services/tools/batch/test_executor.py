@@ -113,7 +113,12 @@ def test_a_cluster_that_loses_its_worker_on_the_way_does_each_job(
     distributed = pytest.importorskip("distributed")
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
         monkeypatch.setenv(name, "1")
-    options = {"n_workers": 1, "threads_per_worker": 1, "dashboard_address": None, "local_directory": str(tmp_path)}
+    options = {
+        "n_workers": 1,
+        "threads_per_worker": 1,
+        "dashboard_address": "127.0.0.1:0",
+        "local_directory": str(tmp_path),
+    }
     done: list[tuple[int, float]] = []
     with distributed.LocalCluster(**options) as cluster:
         for one in run_each(math.exp, [float(job) for job in range(12)], cluster=cluster.scheduler_address):
