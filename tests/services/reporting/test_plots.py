@@ -68,6 +68,21 @@ def test_errors_and_the_true_track_are_drifts_since_the_start_and_so_is_their_sp
     assert true[-1, 1] == pytest.approx(OFFSET[0] + 2.0)
 
 
+def test_of_a_reference_in_places_nothing_is_shifted_and_the_ellipse_is_that_of_the_position() -> None:
+    collector = Collector()
+    collector.set_files({"config/reference.toml": 'kind = "point"'})
+    for _, message, _ in synthetic_run.dive():
+        collector.add(message, EPOCH)
+    true = columns(collector, "truth", "north_m", "east_m")
+    assert tuple(true[0]) == (0.0, 0.0)
+    newest = synthetic_run.estimate(20 * S)
+    assert newest.covariance is not None
+    away = columns(collector, "ellipse", "north_m", "east_m") - [newest.north_m, newest.east_m]
+    inverse = np.linalg.inv(newest.covariance[:2, :2])
+    np.testing.assert_allclose(np.einsum("ki,ij,kj->k", away, inverse, away), 4.0, rtol=1e-2)
+    assert collector.since == ""
+
+
 def test_distances_are_those_to_the_target(collector: Collector) -> None:
     for table, drift in (("distance", DRIFT_EAST_MPS), ("true_distance", 0.0)):
         t, distance = columns(collector, table, "t_s", "distance_m").T
