@@ -68,7 +68,7 @@ def descent(transport: Transport | None) -> tuple[float, float]:
     observation = Observation(Errors(metrics), types=metrics.message_types)
     lockstep = LockStep(nodes, start_ns=run_config.scenario.start_ns, transport=transport, observation=observation)
     lockstep.advance(run_config.scenario.end_ns)
-    mean_m, delay_s = metrics.track.errors()[1].mean, metrics.delays.end_to_end().median
+    mean_m, delay_s = metrics.track.errors()["true_error_m"].mean, metrics.delays.end_to_end().median
     assert mean_m is not None
     assert delay_s is not None
     return mean_m, delay_s
