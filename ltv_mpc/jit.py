@@ -225,3 +225,22 @@ def count_up_to(values: npt.NDArray[Any], limit: float) -> int:
         else:
             low = middle + 1
     return low
+
+
+@jit
+def linear_at(knots: npt.NDArray[Any], values: npt.NDArray[np.float64], at: float) -> float:
+    """Return the value at one place: linear between the knots, constant beyond them, zero if there are none.
+
+    Parameters
+    ----------
+    knots : (n,) ascending. Differences of times in nanoseconds are exact in float64.
+    values : (n,) at the knots.
+    at : place, of the type of the knots.
+    """
+    if len(knots) == 0:
+        return 0.0
+    k = count_up_to(knots, at)
+    if k == 0 or k == len(knots):
+        return float(values[max(k - 1, 0)])
+    part = float(at - knots[k - 1]) / float(knots[k] - knots[k - 1])
+    return float(values[k - 1] + part * (values[k] - values[k - 1]))

@@ -23,7 +23,10 @@ OURS: dict[Candidate, str] = {
     YARDSTICK: "PIQP, sparse",
 }
 
-PACKAGES = ("numpy", "scipy", "numba", "osqp", "daqp", "piqp", "qpsolvers", "qpmpc", "do-mpc", "casadi", "cvxpy")
+PACKAGES = (
+    *("numpy", "scipy", "numba", "osqp", "daqp", "piqp", "qpsolvers", "qpmpc", "do-mpc", "casadi", "cvxpy"),
+    "comma-deps-acados",
+)
 
 
 def main() -> None:

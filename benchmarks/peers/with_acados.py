@@ -29,7 +29,7 @@ from acados.acados_template import AcadosModel, AcadosOcp, AcadosOcpSolver  # no
 from benchmarks.peers import symbolic  # noqa: E402
 from benchmarks.peers.peer import Peer  # noqa: E402
 from ltv_mpc.control.config import STAGE_NS, ResolvedConfig, Weights  # noqa: E402
-from ltv_mpc.control.horizon_limits import HorizonLimits  # noqa: E402
+from ltv_mpc.control.problem_data import Constants  # noqa: E402
 from ltv_mpc.control.solvers.interface import Result  # noqa: E402
 from ltv_mpc.messages import Array  # noqa: E402
 from ltv_mpc.vehicle.flow import STATES, substeps  # noqa: E402
@@ -47,7 +47,7 @@ class AcadosRti(Peer):
     solves = "QP"
     settings = "PARTIAL_CONDENSING_HPIPM, defaults; data set through its Python interface"
 
-    def __init__(self, config: ResolvedConfig, limits: HorizonLimits, vehicle: Vehicle) -> None:
+    def __init__(self, config: ResolvedConfig, limits: Constants, vehicle: Vehicle) -> None:
         super().__init__(config, limits, vehicle)
         self._solver = _solver(self.stages, self.weights, vehicle, tuple(limits.thrust_scale))
         self._set_bounds()

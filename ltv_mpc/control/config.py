@@ -11,7 +11,7 @@ from msgspec import Meta
 
 from ltv_mpc import config
 from ltv_mpc.control import shooting_grid
-from ltv_mpc.messages import Array, SourceName
+from ltv_mpc.messages import Array, SourceName, Times
 from ltv_mpc.node import DEFAULT_SOURCE
 from ltv_mpc.safety.health import Ages
 from ltv_mpc.safety.mission_policy import MissionSettings
@@ -94,7 +94,7 @@ class Disturbance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 class MotionLimits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Limits of the motion, [controller.limits]; not set: no limit.
 
-    Those of surge and yaw rate are soft (``horizon_limits.py``), that of the cross-track distance, too
+    Those of surge and yaw rate are soft (``ocp/limits.py``), that of the cross-track distance, too
     (``ocp/fence.py``). Those of depth bound the vertical thrust, but not in
     failsafe and not by hand (``depth_limits.py``). The limits of thrust and slew rate are in the vehicle file.
     """
@@ -149,14 +149,8 @@ class MotionLimits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         return float(max(ahead, astern))
 
     @property
-    def has_state_limit(self) -> bool:
-        """True if a limit of ``state_bounds`` is set."""
-        bounds = self.min_surge_mps, self.min_yaw_rate_radps, self.max_surge_mps, self.max_yaw_rate_radps
-        return bounds != (None,) * 4
-
-    @property
     def state_bounds(self) -> Array:
-        """Lower and upper limits (2, 2) of the states ``horizon_limits.LIMITED_STATES``; infinite where none is set."""
+        """Lower and upper limits (2, 2) of the states ``problem_data.LIMITED_STATES``; infinite where none is set."""
         low = [-math.inf if limit is None else limit for limit in (self.min_surge_mps, self.min_yaw_rate_radps)]
         high = [math.inf if limit is None else limit for limit in (self.max_surge_mps, self.max_yaw_rate_radps)]
         return np.array([low, high])
@@ -221,6 +215,11 @@ class ResolvedConfig(ControllerConfig, frozen=True, kw_only=True, forbid_unknown
     def knots(self) -> Array:
         """Knots (N+1,) of the horizon, in units of the first stage (0.3 s)."""
         return shooting_grid.knots(self.stages, float(self._reach))
+
+    @property
+    def knots_ns(self) -> Times:
+        """The same in ns."""
+        return np.round(self.knots * STAGE_NS).astype(np.int64)
 
     @property
     def reach_s(self) -> float:

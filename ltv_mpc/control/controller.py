@@ -25,7 +25,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ltv_mpc.bathymetry import Bathymetry
-from ltv_mpc.control.config import STAGE_NS, ControllerConfig
+from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.delay import Delay
 from ltv_mpc.control.disturbance import DisturbanceObserver
 from ltv_mpc.control.fallback import NOT_RUN, LateralPlan, ramp_to_rest
@@ -63,6 +63,7 @@ from ltv_mpc.safety.actuator_check import ActuatorCheck
 from ltv_mpc.safety.command_arbiter import ThrustOverride
 from ltv_mpc.safety.estimate_gate import EstimateGate
 from ltv_mpc.safety.health import NOMINAL, HealthState, plan_end_ns, worst
+from ltv_mpc.safety.motion_fit import MotionFit
 from ltv_mpc.safety.vehicle_file_check import VehicleFileCheck
 from ltv_mpc.vehicle.parameters import Vehicle
 
@@ -105,25 +106,25 @@ class Controller:
         self.sent_commands = SentCommands(vehicle, config.period_ns)
         """Commands in force, by time."""
         weights = config.weights.at_heading(False)
+        self._prediction = Prediction(vehicle)
         constants = Constants.of(vehicle, weights, config.knots, config.limits.state_bounds)
-        self._estimates = EstimateSelector(vehicle, config)
+        constants = constants._replace(p=self._prediction.coefficients)  # one array, with what the observer learns
+        self._estimates = EstimateSelector(vehicle, config.ages)
+        self.estimate_gate: EstimateGate = self._estimates.gate
+        """Plausibility check of the estimates, with the count of rejected ones."""
+        self.vehicle_file_check = VehicleFileCheck()
+        """Check of the vehicle file against what the motion shows."""
+        self._motion_fit = MotionFit(vehicle)  # vehicle, sea and stamps that explain the motion
+        self.actuator_check = ActuatorCheck(vehicle, config.period_ns)
+        """Check of the actuators' reports: whether the motion of the estimates comes from the plans."""
         self.observer = DisturbanceObserver(config.disturbance, vehicle)
         """What the motion has shown of current, estimated point and vehicle."""
-        self._prediction = Prediction(vehicle)
         self._vertical = VerticalLaw(vehicle, constants, config.limits)
-        self._knots_ns = np.round(config.knots * STAGE_NS).astype(np.int64)  # (N+1,), after the plan's start
-        least_ns = round(config.min_delay_s * 1e9)
+        self._knots_ns = config.knots_ns  # after the plan's start
+        first_ns, least_ns = round(config.first_delay_s * 1e9), round(config.min_delay_s * 1e9)
         plan_ns = plan_end_ns(self._knots_ns, config.period_ns, vehicle.plan_timeout_s)
-        self._delay = Delay(_first_delay_ns(config), config.delay_quantile, least_ns, plan_ns)
-        self._lateral = LateralPlanner(
-            vehicle,
-            config,
-            constants,
-            knots_ns=self._knots_ns,
-            make_solver=make_solver,
-            stopwatch=stopwatch,
-            terms=terms,
-        )
+        self._delay = Delay(first_ns, config.delay_quantile, least_ns, plan_ns)
+        self._lateral = LateralPlanner(vehicle, config, constants, make_solver, stopwatch, terms)
         self._stopwatch = stopwatch
         self._followers = [self._follower(reference)]  # of the reference, and of the hold while it is paused
 
@@ -131,21 +132,6 @@ class Controller:
     def follower(self) -> Follower:
         """Follower of the reference: its target and the progress along it."""
         return self._followers[-1]
-
-    @property
-    def estimate_gate(self) -> EstimateGate:
-        """Plausibility check of the estimates, with the count of rejected ones."""
-        return self._estimates.gate
-
-    @property
-    def vehicle_file_check(self) -> VehicleFileCheck:
-        """Check of the vehicle file against what the motion shows."""
-        return self._estimates.vehicle_file_check
-
-    @property
-    def actuator_check(self) -> ActuatorCheck:
-        """Check of the actuators' reports against the plans."""
-        return self._estimates.actuator_check
 
     def follow(self, reference: Reference) -> None:
         """Follow another reference from the next cycle on, or from ``resume`` on while the controller is paused.
@@ -262,7 +248,7 @@ class Controller:
         self._delay.add_receipt(applied)
         self._prediction.add_report(applied)
         self.actuator_check.add(applied)
-        self._estimates.motion_fit.add_thrust(applied.t_ns, applied.thrust_N)
+        self._motion_fit.add_thrust(applied.t_ns, applied.thrust_N)
         self.sent_commands.correct(applied.t_ns, applied.command_N)
 
     def add_timing(self, timing: CycleTiming) -> None:
@@ -277,6 +263,7 @@ class Controller:
     def restart_estimates(self) -> None:
         """Begin with another source of estimates: gate, period, checks and current bias are those of one source."""
         self._estimates.restart()
+        self.vehicle_file_check, self._motion_fit = VehicleFileCheck(), MotionFit(self.vehicle)
         self.observer = DisturbanceObserver(self.config.disturbance, self.vehicle)
 
     def predict(self, estimate: Estimate, t_ns: int) -> Array:
@@ -351,7 +338,7 @@ class Controller:
         decision = self._decide(newest, now_ns, override, health)
         delay_ns = self._delay.expected_ns
         start = self._prediction.state_at(decision.estimate, now_ns + delay_ns, self.sent_commands)
-        self._estimates.motion_fit.add_thrust(start.t_ns, start.thrust_N, reported=False)
+        self._motion_fit.add_thrust(start.t_ns, start.thrust_N, reported=False)
         knots = start.t_ns + self._knots_ns
         if self._lateral.fencing.predict_obstacles(start.t_ns):
             self._restrict_paths()
@@ -416,13 +403,13 @@ class Controller:
         state : what the other one saved; its plan is the one in force at the actuators.
         t_ns : now, vehicle time (ns).
         """
-        state, first_ns = exact(state), _first_delay_ns(self.config)
+        state, expected_ns = exact(state), 0
         if state.plan is not None:
-            first_ns = max(state.plan.expected_delay_ns, first_ns)
+            expected_ns = state.plan.expected_delay_ns
             self.sent_commands.add(state.plan, before_N=state.plan.initial_thrust_N)
             self.actuator_check.sent(state.plan)
             self._lateral.previous.restore(state.plan)
-        self._delay.restore(first_ns, state.plan_delays_ns, state.cycle_times_ns)
+        self._delay.restore(expected_ns, state.plan_delays_ns, state.cycle_times_ns)
         self._vertical.integral_N = state.depth_integral_N
         self.observer.restore(state.disturbance, t_ns - state.t_ns)
         followed = FollowerState(state.reference_start, state.schedule_t_ns, state.schedule_s, state.schedule_rate)
@@ -455,14 +442,12 @@ class Controller:
             check.began_ns = None
         if estimate is not None:
             self._vertical.depth_limits.update(estimate)
-            fit = self._estimates.motion_fit
             if check.learns:
-                fit.update(estimate)
+                self._motion_fit.update(estimate)
             estimate = self.observer.correct(estimate, self._prediction, self.sent_commands, learns=check.learns)
             self._prediction.coefficients[:] = self.observer.coefficients
-            self._lateral.set_coefficients(self._prediction.coefficients)
             bounded, in_waves = self.observer.is_bounded, self.observer.in_waves
-            self.vehicle_file_check.update(estimate.t_ns, fit, bounded=bounded, in_waves=in_waves)
+            self.vehicle_file_check.update(estimate.t_ns, self._motion_fit, bounded=bounded, in_waves=in_waves)
         own = self._estimates.health(now_ns)
         if estimate is not None and own.health is Health.DEGRADED:
             growth = growth_m(self._prediction, estimate, now_ns, self.sent_commands, self.observer)
@@ -627,8 +612,3 @@ def _end_of_motion_ns(state: ControllerState, period_ns: int, timeout_s: float) 
     if plan is None or plan.authority is not Authority.CONTROLLER:
         return state.schedule_t_ns
     return plan_end_ns(plan.t_ns, period_ns, timeout_s) + SAVE_PERIOD_NS
-
-
-def _first_delay_ns(config: ControllerConfig) -> int:
-    """Return the delay (ns) that is expected before anything was measured."""
-    return round(config.first_delay_s * 1e9)

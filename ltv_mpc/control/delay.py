@@ -42,7 +42,7 @@ class Delay:
         min_ns : lower bound of what is expected (ns).
         plan_ns : time for which a plan is followed (ns); a longer delay until a receipt is not counted.
         """
-        self.expected_ns = max(first_ns, min_ns)
+        self.expected_ns = self._first_ns = max(first_ns, min_ns)
         """Expected time from the start of a cycle to its plan's arrival (ns)."""
         self._quantile = quantile
         self._min_ns = min_ns
@@ -57,16 +57,16 @@ class Delay:
         """Return the measured delays until the plans' arrival, and the computing times (ns)."""
         return tuple(self._receipts), tuple(self._computing)
 
-    def restore(self, first_ns: int, receipts: Iterable[int], computing: Iterable[int]) -> None:
+    def restore(self, expected_ns: int, receipts: Iterable[int], computing: Iterable[int]) -> None:
         """Begin again, from the measurements of another controller.
 
         Parameters
         ----------
-        first_ns : expected if there are no measurements (ns).
+        expected_ns : by that controller (ns); if there are no measurements, at least this is expected.
         receipts : delays until the plans' arrival (ns).
         computing : computing times (ns).
         """
-        self.expected_ns = max(first_ns, self._min_ns)
+        self.expected_ns = max(expected_ns, self._first_ns)
         self._receipts = deque(receipts, WINDOW_CYCLES)
         self._computing = deque(computing, WINDOW_CYCLES)
         self._last_receipt = None

@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
 from scipy.sparse import csc_array
 
-from ltv_mpc.array_encoding import to_wire
+from ltv_mpc.array_encoding import from_wire, to_wire
 from ltv_mpc.config import read_bytes
 from ltv_mpc.control.ocp import limits
+from ltv_mpc.control.ocp.problem import Problem
 from ltv_mpc.control.qp import QP
 from ltv_mpc.control.solvers.sparse import DYNAMICS, EXCESS, LOWER, UPPER, SparseLayout
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Array, Solve
 
-FORMAT: Literal["ltv-mpc qp 2"] = "ltv-mpc qp 2"
 FILE = "QP file"
 MAX_BYTES = 1 << 26
 """Largest size of a file: the QP of the longest horizon has a hundredth of it."""
@@ -68,72 +67,34 @@ def row_names(layout: SparseLayout, scale: Array) -> tuple[ConstraintRow, ...]:
     return tuple(named)
 
 
-class _Matrix(msgspec.Struct):
-    """Sparse matrix by columns."""
-
-    data: list[float]
-    indices: list[int]
-    indptr: list[int]
-
-    @classmethod
-    def of(cls, matrix: csc_array) -> _Matrix:
-        """Return a matrix as it is stored.
-
-        Parameters
-        ----------
-        matrix : by columns.
-        """
-        return cls(matrix.data.tolist(), matrix.indices.tolist(), matrix.indptr.tolist())
-
-    def array(self, rows: int, columns: int) -> csc_array:
-        """Return the matrix.
-
-        Parameters
-        ----------
-        rows, columns : its shape.
-
-        Raises
-        ------
-        ValueError : the parts do not fit.
-        """
-        parts = np.array(self.data), np.array(self.indices, np.int32), np.array(self.indptr, np.int32)
-        array = csc_array(parts, shape=(rows, columns))
-        array.check_format()
-        return array
-
-
-class _File(msgspec.Struct):
-    """Content of a file."""
-
-    format: Literal["ltv-mpc qp 2"]
-    P: _Matrix
-    q: list[float]
-    A: _Matrix
-    l: list[float]  # noqa: E741
-    u: list[float]
-    rows: tuple[ConstraintRow, ...]
-    solve: Solve
-
-
-@dataclass(frozen=True)
-class NamedQp:
-    """QP of a cycle, the names of its rows, and the solver's report."""
+class NamedQp(msgspec.Struct, frozen=True, eq=False, tag_field="format", tag="ltv-mpc qp 3"):
+    """QP of a cycle, the names of its rows, and the solver's report; a file is a MessagePack map of them."""
 
     qp: QP
     rows: tuple[ConstraintRow, ...]
     solve: Solve
 
+    @classmethod
+    def of(cls, problem: Problem, scale: Array, solve: Solve) -> NamedQp:
+        """Return the QP of a problem.
+
+        Parameters
+        ----------
+        problem : of a cycle.
+        scale : (12,) what is 1 in its states and inputs (ocp/assembly.py).
+        solve : the solver's report.
+        """
+        layout = SparseLayout(problem)
+        return cls(layout.qp(problem), row_names(layout, scale), solve)
+
     def save(self, path: Path) -> None:
-        """Write the problem to one file, a MessagePack map of ``_File``.
+        """Write the problem to one file.
 
         Parameters
         ----------
         path : name of the file; an existing one is replaced.
         """
-        qp = self.qp
-        q, l, u = qp.q.tolist(), qp.l.tolist(), qp.u.tolist()  # noqa: E741
-        content = _File(FORMAT, _Matrix.of(qp.P), q, _Matrix.of(qp.A), l, u, self.rows, self.solve)
-        path.write_bytes(msgspec.msgpack.encode(content, enc_hook=to_wire))
+        path.write_bytes(msgspec.msgpack.encode(self, enc_hook=_to_wire))
 
     @classmethod
     def load(cls, path: Path) -> NamedQp:
@@ -148,12 +109,13 @@ class NamedQp:
         ConfigError : the file is missing or unreadable, or ``save`` did not write it.
         """
         try:
-            of = msgspec.msgpack.decode(read_bytes(path, what=FILE, max_bytes=MAX_BYTES), type=_File)
-            n, m = len(of.q), len(of.l)
-            if not len(of.rows) == len(of.u) == m:
-                raise ValueError(f"{m} lower bounds, {len(of.u)} upper, {len(of.rows)} rows: must be equal numbers")
-            q, l, u = (np.array(part, dtype=np.float64) for part in (of.q, of.l, of.u))  # noqa: E741
-            return cls(QP(of.P.array(n, n), q, of.A.array(m, n), l, u), of.rows, of.solve)
+            content = read_bytes(path, what=FILE, max_bytes=MAX_BYTES)
+            named: NamedQp = msgspec.msgpack.decode(content, type=cls, dec_hook=_from_wire)
+            qp, n, m = named.qp, *named.qp.A.shape[::-1]
+            sizes = qp.P.shape, qp.q.shape, qp.l.shape, qp.u.shape, len(named.rows)
+            if sizes != ((n, n), (n,), (m,), (m,), m):
+                raise ValueError(f"{m} rows of {n} numbers: sizes of P, q, l, u, names must fit, got {sizes}")
+            return named
         except ConfigError:
             raise
         except (ValueError, ArithmeticError, RecursionError) as error:
@@ -199,3 +161,19 @@ def worst_violation(qp: QP, x: Array, rows: tuple[ConstraintRow, ...]) -> str:
         return ""
     i = int(np.argmax(over))
     return f"{rows[i].name} violated by {over[i] * rows[i].scale:.3g} {rows[i].unit}"
+
+
+def _to_wire(value: Any) -> Any:
+    """Return a sparse matrix as its numbers, their rows, the columns' begins, and its shape (encoder hook)."""
+    return (value.data, value.indices, value.indptr, value.shape) if isinstance(value, csc_array) else to_wire(value)
+
+
+def _from_wire(kind: type, value: Any) -> Any:
+    """Return what ``_to_wire`` was given (decoder hook). Raises ValueError if the parts do not fit."""
+    if kind is not csc_array:
+        return from_wire(kind, value)
+    data, indices, indptr, (rows, columns) = value
+    parts = from_wire(np.ndarray, data), np.array(indices, np.int32), np.array(indptr, np.int32)
+    array = csc_array(parts, shape=(rows, columns))
+    array.check_format()
+    return array

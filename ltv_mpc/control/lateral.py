@@ -39,7 +39,7 @@ from ltv_mpc.control.prediction import Start, currents_at_depths
 from ltv_mpc.control.problem_data import Constants
 from ltv_mpc.control.solvers import Result, Solver, SolverFactory
 from ltv_mpc.control.target_placement import bring_within
-from ltv_mpc.messages import Array, Estimate, Pair, PlanOrigin, Solve, SolveStatus, Times
+from ltv_mpc.messages import Array, Estimate, Pair, PlanOrigin, Solve, SolveStatus
 from ltv_mpc.node import Stopwatch
 from ltv_mpc.vehicle.parameters import Vehicle
 
@@ -67,8 +67,6 @@ class LateralPlanner:
         vehicle: Vehicle,
         config: ResolvedConfig,
         constants: Constants,
-        *,
-        knots_ns: Times,
         make_solver: SolverFactory,
         stopwatch: Stopwatch,
         terms: Sequence[Term | Limit] = (),
@@ -78,14 +76,13 @@ class LateralPlanner:
         Parameters
         ----------
         vehicle, config : as ``make_solver`` takes them.
-        constants : of the controller.
-        knots_ns : (N+1,) knots after a plan's start (ns).
+        constants : of the controller; its coefficients may change.
         make_solver : called now, and again after a solve that failed.
         stopwatch : is called with a stage's name when that stage of a cycle ends.
         terms : of a user, beside those of ``ocp/``.
         """
-        self.previous = PreviousPlan(knots_ns)
-        self.fencing = Fencing(vehicle, knots_ns, config.limits.max_cross_track_m)
+        self.previous = PreviousPlan(config.knots_ns)
+        self.fencing = Fencing(vehicle, config.knots_ns, config.limits.max_cross_track_m)
         """Fence, obstacles and corridor in force."""
         self._cycle = Cycle(constants, self.fencing.scene, terms)
         self._fallback = Fallback(vehicle, self._cycle, self.previous, config.period_ns)
@@ -122,7 +119,7 @@ class LateralPlanner:
         ----------
         start : the vehicle at the plan's start. Target and current are set before.
         """
-        limited = self._config.limits.has_state_limit
+        limited = bool(np.isfinite(self._config.limits.state_bounds).any())
         self.fencing.bend(start.lateral[:2], self._cycle.lin.C[0], self.target, limited=limited)
 
     def relax_target(self, start: Start, radius_m: float) -> None:
@@ -176,15 +173,6 @@ class LateralPlanner:
         before, self._config = self._config, self._config_for(path=path, heading=heading)
         if self._config is not before and self._config != before:
             self._repack()
-
-    def set_coefficients(self, p: Array) -> None:
-        """Plan with other coefficients than those of the vehicle file.
-
-        Parameters
-        ----------
-        p : (21,) coefficients.
-        """
-        self._cycle.constants.p[:] = p
 
     def _repack(self) -> None:
         config, learned = self._config, self._cycle.constants.p

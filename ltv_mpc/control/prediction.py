@@ -14,8 +14,8 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from ltv_mpc.control.sent_commands import Commands, SentCommands, command_at
-from ltv_mpc.jit import copy_to, count_up_to, jit
+from ltv_mpc.control.sent_commands import Commands, SentCommands
+from ltv_mpc.jit import copy_to, count_up_to, jit, linear_at
 from ltv_mpc.messages import Applied, Array, CurrentProfile, Estimate, Pair, Triple
 from ltv_mpc.vehicle.dynamics import coefficients
 from ltv_mpc.vehicle.flow import STATES, advance_heave, advance_stage, lag_table, lag_weights
@@ -212,15 +212,7 @@ def current_at_depth(depth: Array, north: Array, east: Array, z: float) -> tuple
     -------
     North and east current (m/s).
     """
-    if len(depth) == 0:
-        return 0.0, 0.0
-    k = count_up_to(depth, z)
-    if k == 0:
-        return north[0], east[0]
-    if k == len(depth):
-        return north[k - 1], east[k - 1]
-    part = (z - depth[k - 1]) / (depth[k] - depth[k - 1])
-    return north[k - 1] + part * (north[k] - north[k - 1]), east[k - 1] + part * (east[k] - east[k - 1])
+    return linear_at(depth, north, z), linear_at(depth, east, z)
 
 
 @jit
@@ -234,7 +226,7 @@ def _delivered(since: int, F: Array, until: int, commands: Commands, lags: tuple
         h = float(end - since) * 1e-9
         for i in range(3):
             a, b0, b1 = lag_weights(h, h, lags[i])
-            out[i] = a * out[i] + b0 * command_at(t, thrust, since, i) + b1 * command_at(t, thrust, end, i)
+            out[i] = a * out[i] + b0 * linear_at(t, thrust[:, i], since) + b1 * linear_at(t, thrust[:, i], end)
         since = end
         k += 1
     return out
@@ -282,18 +274,18 @@ def predict_state(vehicle: Array, measured: Measured, until: int, commands: Comm
             at = begin + way * (i + 1) // pieces
             h = float(at - since) * 1e-9
             if has_depth:  # heave does not depend on the other states, and gives the current along the way
-                w0, w1 = command_at(t, thrust, since, 2), command_at(t, thrust, at, 2)
+                w0, w1 = linear_at(t, thrust[:, 2], since), linear_at(t, thrust[:, 2], at)
                 z, w, F3 = advance_heave(z, w, F3, w0, w1, h, p)
                 if z <= 0.0:  # the surface
                     z, w = 0.0, max(w, 0.0)
             c1[0], c1[1] = current_at_depth(depth, north, east, z)
             for j in range(2):
-                u0[j], u1[j] = command_at(t, thrust, since, j), command_at(t, thrust, at, j)
+                u0[j], u1[j] = linear_at(t, thrust[:, j], since), linear_at(t, thrust[:, j], at)
             advance_stage(X.copy(), u0, u1, c0, c1, h, p, lag_table(h, p), X)
             copy_to(c0, c1)
             since = at
         knot += 1
     for j in range(3):
-        out[STATES + j] = command_at(t, thrust, until, j)
+        out[STATES + j] = linear_at(t, thrust[:, j], until)
     out[11], out[12], out[13], out[14], out[15] = z, w, F3, c0[0], c0[1]
     return out

@@ -63,5 +63,5 @@ def default_bow(vehicle: Vehicle) -> Bow:
     ----------
     vehicle : a vehicle whose two lateral thrusters push less astern than ahead goes bow first.
     """
-    port, starboard, _ = vehicle.thrusters
-    return "first" if -(port.min_N + starboard.min_N) < port.max_N + starboard.max_N else "either"
+    ahead_N, astern_N = vehicle.pushes_N
+    return "first" if astern_N < ahead_N else "either"

@@ -38,7 +38,7 @@ import numpy as np
 
 from ltv_mpc.control.config import HEADING_PER_RAD2, Effort, Weights
 from ltv_mpc.messages import Array
-from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
+from ltv_mpc.vehicle.parameters import Vehicle
 from ltv_mpc.vehicle.resistance import UNBRAKED_MPS, UNBRAKED_RADPS, steady_speed
 
 
@@ -72,10 +72,8 @@ ROUNDING = 1e-9
 def characteristic_scales(vehicle: Vehicle) -> Scales:
     """Return V and T of a vehicle, as at the head of this file."""
     p = vehicle.coefficients()
-    port, starboard = vehicle.thrusters[:2]
-    push = port.max_N + starboard.max_N
+    push, couple = vehicle.pushes_N[0], weaker_couple(vehicle)
     speed = min(steady_speed(push, p.linear_surge, p.quadratic_surge), UNBRAKED_MPS)
-    couple = weaker_couple(vehicle, p)
     rate = min(steady_speed(couple, p.linear_yaw, p.quadratic_yaw), UNBRAKED_RADPS)
     turn = math.sqrt(1.0 / rate**2 + 2.0 * p.inertia_yaw / couple)
     return Scales(speed, p.mass_surge * speed / push + turn + max(p.lag_port, p.lag_starboard))
@@ -103,22 +101,18 @@ def thrust_scale(vehicle: Vehicle) -> Array:
     return np.array([max(t.max_N, -t.min_N) for t in vehicle.thrusters[:2]])
 
 
-def weaker_couple(vehicle: Vehicle, p: Coefficients) -> float:
+def weaker_couple(vehicle: Vehicle) -> float:
     """Return the weaker turning couple N: one thruster full ahead, the other full astern, to the weaker side.
 
     Parameters
     ----------
-    vehicle : gives the limits of the thrusters.
-    p : its coefficients, for the thruster arms.
+    vehicle : gives limits and arms of the thrusters.
 
     Returns
     -------
     N (N m), positive. For a vehicle that turns to one side only, a twentieth of the couple to that side.
     """
-    port, starboard = vehicle.thrusters[:2]
-    to_starboard = port.max_N * p.arm_port - starboard.min_N * p.arm_starboard
-    to_port = starboard.max_N * p.arm_starboard - port.min_N * p.arm_port
-    return max(min(to_starboard, to_port), 0.05 * max(to_starboard, to_port))
+    return max(min(vehicle.couples_Nm), 0.05 * max(vehicle.couples_Nm))
 
 
 def default_weights(vehicle: Vehicle, effort: Effort = "normal", slowness: float = 1.0) -> Weights:

@@ -13,7 +13,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from ltv_mpc.jit import count_up_to, jit
+from ltv_mpc.jit import jit, linear_at
 from ltv_mpc.messages import Array, Plan, Times, Triple
 from ltv_mpc.safety.health import plan_end_ns
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -134,38 +134,16 @@ class SentCommands:
 
 
 @jit
-def command_at(t: Times, thrust: Array, at: int, i: int) -> float:
-    """Return one thruster's command at one time; zero if there are no knots.
-
-    Parameters
-    ----------
-    t, thrust : (M,), (M, 3) commands by time (ns, N).
-    at : time (ns).
-    i : 0 port, 1 starboard, 2 vertical.
-    """
-    if len(t) == 0:
-        return 0.0
-    k = count_up_to(t, at)
-    if k == 0:
-        return float(thrust[0, i])
-    if k == len(t):
-        return float(thrust[k - 1, i])
-    # Differences of times are exact in float64 and keep their nanoseconds.
-    part = float(at - t[k - 1]) / float(t[k] - t[k - 1])
-    return float(thrust[k - 1, i] + part * (thrust[k, i] - thrust[k - 1, i]))
-
-
-@jit
 def commands_at(t: Times, thrust: Array, at: Times) -> Array:
     """Return the commands (K, 3) at several times.
 
     Parameters
     ----------
-    t, thrust : as in ``command_at``.
+    t, thrust : (M,), (M, 3) commands by time (ns, N).
     at : (K,) times (ns).
     """
     out = np.empty((len(at), 3))
     for k in range(len(at)):
         for i in range(3):
-            out[k, i] = command_at(t, thrust, at[k], i)
+            out[k, i] = linear_at(t, thrust[:, i], at[k])
     return out

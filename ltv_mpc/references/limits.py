@@ -87,14 +87,10 @@ class Limits:
 @lru_cache(maxsize=8)
 def path_limits(vehicle: Vehicle) -> Limits:
     """Return the limits of a vehicle."""
-    port, starboard, _ = vehicle.thrusters
-    ahead, astern = port.max_N + starboard.max_N, -(port.min_N + starboard.min_N)
+    ahead, astern = vehicle.pushes_N
     linear, quadratic = vehicle.surge.linear_damping_kgps, vehicle.surge.quadratic_damping_kgpm
     cruise = _steady(SUSTAINED_SHARE * ahead, linear, quadratic)
-    # moment F1 a1 - F2 a2, the smaller of both sides
-    to_starboard = port.max_N * port.arm_m - starboard.min_N * starboard.arm_m
-    to_port = starboard.max_N * starboard.arm_m - port.min_N * port.arm_m
-    moment = SUSTAINED_SHARE * min(to_starboard, to_port)
+    moment = SUSTAINED_SHARE * min(vehicle.couples_Nm)
     yaw_radps = max(_steady(moment, vehicle.yaw.linear_damping_Nms, vehicle.yaw.quadratic_damping_kgm2), 1e-3)
     yaw_radps2 = max(moment / vehicle.yaw.inertia_kgm2, 1e-4)
     return Limits(

@@ -59,14 +59,9 @@ class Bounds(NamedTuple):
         ----------
         vehicle : parameters of the vehicle.
         """
-        port, starboard, vertical = vehicle.thrusters
-        surge = max(port.max_N + starboard.max_N, -port.min_N - starboard.min_N)
-        yaw = max(
-            port.max_N * port.arm_m - starboard.min_N * starboard.arm_m,
-            starboard.max_N * starboard.arm_m - port.min_N * port.arm_m,
-        )
-        sinking = 0.0
+        surge, yaw, sinking = max(vehicle.pushes_N), max(vehicle.couples_Nm), 0.0
         if vehicle.heave is not None:
+            vertical = vehicle.thrusters[2]
             heave = max(vertical.max_N, -vertical.min_N) + abs(vehicle.net_buoyancy_N)
             sinking = steady_speed(heave, vehicle.heave.linear_damping_kgps, vehicle.heave.quadratic_damping_kgpm)
         top = steady_speed(surge, vehicle.surge.linear_damping_kgps, vehicle.surge.quadratic_damping_kgpm)

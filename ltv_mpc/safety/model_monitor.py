@@ -151,15 +151,15 @@ class ModelMonitor:
 
     @property
     def products(self) -> Array | None:
-        """Behaviour of the vehicle so far, (4, 4) (``thrust_loss_detector.accumulate``), a copy; None if unknown."""
+        """Behaviour of the vehicle so far, (6, 6) (``thrust_loss_detector.accumulate``), a copy; None if unknown."""
         return self._detector.products
 
     def restore(self, products: Array) -> None:
-        """Continue from the ``products`` (4, 4) of another monitor of this vehicle, after the filter has settled.
+        """Continue from the ``products`` (6, 6) of another monitor of this vehicle, after the filter has settled.
 
         Parameters
         ----------
-        products : (4, 4) products of the other monitor.
+        products : (6, 6) products of the other monitor.
         """
         self._detector.restore(products)
         self._settling_s = 0.0

@@ -27,7 +27,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ltv_mpc.jit import copy_to, count_up_to, jit
+from ltv_mpc.jit import copy_to, jit, linear_at
 from ltv_mpc.messages import Array, Health, Plan, Triple
 from ltv_mpc.safety.health import plan_end_ns, plan_health
 from ltv_mpc.safety.input_age import InputAge
@@ -204,10 +204,8 @@ def _follow(
     for k in range(len(times_ns)):
         t_ns = times_ns[k]
         if M > 0 and knots_ns[0] <= t_ns <= end_ns:
-            i = min(max(count_up_to(knots_ns, t_ns) - 1, 0), M - 2)
-            s = (t_ns - knots_ns[i]) / (knots_ns[i + 1] - knots_ns[i])
             for j in range(3):
-                T[j] = thrust[i, j] + s * (thrust[i + 1, j] - thrust[i, j])
+                T[j] = linear_at(knots_ns, thrust[:, j], t_ns)
         elif M > 0 and t_ns > end_ns:
             copy_to(T, rest)
         else:

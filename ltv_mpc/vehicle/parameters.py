@@ -201,6 +201,19 @@ class Vehicle(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
         """True if the vehicle can dive, with a vertical thruster; False for a surface craft."""
         return self.heave is not None
 
+    @property
+    def pushes_N(self) -> tuple[float, float]:
+        """Largest total thrust of the stern thrusters ahead and astern (N); neither is negative."""
+        port, starboard = self.thruster.port, self.thruster.starboard
+        return port.max_N + starboard.max_N, -(port.min_N + starboard.min_N)
+
+    @property
+    def couples_Nm(self) -> tuple[float, float]:
+        """Largest yaw moment to starboard and to port (N m), with one thruster astern; neither is negative."""
+        port, starboard = self.thruster.port, self.thruster.starboard
+        to_starboard = port.max_N * port.arm_m - starboard.min_N * starboard.arm_m
+        return to_starboard, starboard.max_N * starboard.arm_m - port.min_N * port.arm_m
+
     def at_origin(self) -> Vehicle:
         """Return the vehicle for estimates of its origin: without the reference point of its own navigation."""
         return msgspec.structs.replace(self, reference_point=ORIGIN)

@@ -111,7 +111,7 @@ def _lateral_thruster_warnings(vehicle: Vehicle) -> Iterator[str]:
         if thruster.min_N == 0.0:
             yield f"[thruster.{name}] min_N = 0: no thrust astern, so the vehicle cannot brake"
         yield from _thruster_time_warnings(f"[thruster.{name}]", thruster)
-    push, mass = vehicle.thruster.port.max_N + vehicle.thruster.starboard.max_N, vehicle.surge.mass_kg
+    push, mass = vehicle.pushes_N[0], vehicle.surge.mass_kg
     low, high = ACCELERATION_MPS2
     if not low <= push / mass <= high:
         usual = f"{low:g} to {high:g} are usual; is the thrust in kN or gf, or the mass in g or t?"

@@ -366,7 +366,7 @@ def theta_scale(vehicle: Vehicle) -> Array:
     """
     p = vehicle.coefficients()
     port, starboard = vehicle.thrusters[:2]
-    push = port.max_N + starboard.max_N
+    push = vehicle.pushes_N[0]
     couple = port.max_N * p.arm_port + starboard.max_N * p.arm_starboard
     speed = min(steady_speed(push, p.linear_surge, p.quadratic_surge), UNBRAKED_MPS)
     rate = min(steady_speed(couple, p.linear_yaw, p.quadratic_yaw), UNBRAKED_RADPS)

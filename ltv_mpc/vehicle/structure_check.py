@@ -90,7 +90,7 @@ def _additional_forces(vehicle: Vehicle, motion: Motion, current_mps: Array) -> 
     turning = [one, u * v, abs(u) * v, u * r, abs(u) * r, v, v * abs(v), v * abs(r), r * abs(v), r**3]
     turning += [F1 + F2, abs(F1) - abs(F2)]
     port, starboard = vehicle.thrusters[:2]
-    push = port.max_N + starboard.max_N
+    push = vehicle.pushes_N[0]
     couple = port.max_N * port.arm_m + starboard.max_N * starboard.arm_m
     forces, directions = [], []
     for direction, (size, terms) in enumerate(((push, ahead), (push, abeam), (couple, turning))):

@@ -35,61 +35,53 @@ def make(folder: Path, roles: Iterable[str], *, hosts: Iterable[str] = (), days:
     folder.mkdir(parents=True, exist_ok=True, mode=0o700)
     folder.chmod(0o700)
     names = [_general_name(host) for host in dict.fromkeys((*LOOPBACK, *hosts))]
-    authority_key = ec.generate_private_key(ec.SECP256R1())
-    authority = _authority(authority_key, days)
+    authority = _Authority(days)
     files = [folder / AUTHORITY]
-    _write(files[0], authority.public_bytes(Encoding.PEM))
+    _write(files[0], authority.certificate.public_bytes(Encoding.PEM))
     for role in roles:
         key = ec.generate_private_key(ec.SECP256R1())
-        certificate = _of_role(role, key, names, authority, authority_key)
+        certificate = authority.signed(
+            _common_name(role),
+            key,
+            x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]),
+            x509.SubjectAlternativeName(names),
+            x509.AuthorityKeyIdentifier.from_issuer_public_key(authority.key.public_key()),
+        )
         files += [folder / f"{role}.pem", folder / f"{role}.key"]
         _write(files[-2], certificate.public_bytes(Encoding.PEM))
         _write(files[-1], key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()))
     return files
 
 
-def _authority(key: ec.EllipticCurvePrivateKey, days: int) -> x509.Certificate:
-    now = datetime.datetime.now(datetime.UTC)
-    name = _common_name("ltv-mpc certificates")
-    return (
-        x509.CertificateBuilder()
-        .subject_name(name)
-        .issuer_name(name)
-        .public_key(key.public_key())
-        .serial_number(x509.random_serial_number())
-        .not_valid_before(now - BACKDATED)
-        .not_valid_after(now + datetime.timedelta(days=days))
-        .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
-        .add_extension(_key_usage(signs=True), critical=True)
-        .add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
-        .sign(key, hashes.SHA256())
-    )
+class _Authority:
+    """Authority with its key, whose own certificate and those that it signs are valid for the same time."""
 
+    def __init__(self, days: int) -> None:
+        now = datetime.datetime.now(datetime.UTC)
+        self._valid = now - BACKDATED, now + datetime.timedelta(days=days)
+        self._name = _common_name("ltv-mpc certificates")
+        self.key = ec.generate_private_key(ec.SECP256R1())
+        own_key = x509.SubjectKeyIdentifier.from_public_key(self.key.public_key())
+        self.certificate = self.signed(self._name, self.key, own_key, signs=True)
 
-def _of_role(
-    role: str,
-    key: ec.EllipticCurvePrivateKey,
-    names: list[x509.GeneralName],
-    authority: x509.Certificate,
-    authority_key: ec.EllipticCurvePrivateKey,
-) -> x509.Certificate:
-    return (
-        x509.CertificateBuilder()
-        .subject_name(_common_name(role))
-        .issuer_name(authority.subject)
-        .public_key(key.public_key())
-        .serial_number(x509.random_serial_number())
-        .not_valid_before(authority.not_valid_before_utc)
-        .not_valid_after(authority.not_valid_after_utc)
-        .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
-        .add_extension(_key_usage(signs=False), critical=True)
-        .add_extension(
-            x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]), critical=False
+    def signed(
+        self, name: x509.Name, key: ec.EllipticCurvePrivateKey, *extensions: x509.ExtensionType, signs: bool = False
+    ) -> x509.Certificate:
+        """Return a certificate of a key; ``signs``: others may be signed with it."""
+        builder = (
+            x509.CertificateBuilder()
+            .subject_name(name)
+            .issuer_name(self._name)
+            .public_key(key.public_key())
+            .serial_number(x509.random_serial_number())
+            .not_valid_before(self._valid[0])
+            .not_valid_after(self._valid[1])
+            .add_extension(x509.BasicConstraints(ca=signs, path_length=0 if signs else None), critical=True)
+            .add_extension(_key_usage(signs=signs), critical=True)
         )
-        .add_extension(x509.SubjectAlternativeName(names), critical=False)
-        .add_extension(x509.AuthorityKeyIdentifier.from_issuer_public_key(authority_key.public_key()), critical=False)
-        .sign(authority_key, hashes.SHA256())
-    )
+        for extension in extensions:
+            builder = builder.add_extension(extension, critical=False)
+        return builder.sign(self.key, hashes.SHA256())
 
 
 def _key_usage(*, signs: bool) -> x509.KeyUsage:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import secrets
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from itertools import count
 from typing import NamedTuple
 
 from ltv_mpc.messages import Message
@@ -35,11 +36,10 @@ class Outbox:
         """Declare a publisher for each kind; ``key_prefix`` precedes every key if a session serves several vehicles."""
         self.epoch = epoch
         self.published = 0
-        self._keys = {
-            kind: f"{key_prefix}/{key_of(kind, node)}" if key_prefix else key_of(kind, node) for kind in kinds
-        }
-        self._publishers: dict[str, Publisher] = {key: session.publisher(key) for key in self._keys.values()}
-        self._sequence = dict.fromkeys(self._publishers, 0)
+        self._outlets: dict[type[Message], tuple[str, Publisher, Iterator[int]]] = {}
+        for kind in dict.fromkeys(kinds):
+            key = "/".join((*([key_prefix] if key_prefix else ()), key_of(kind, node)))
+            self._outlets[kind] = key, session.publisher(key), count()
 
     def publish(self, message: Message) -> SentMessage:
         """Add the header to a message of a declared kind, encode it and send it."""
@@ -48,16 +48,13 @@ class Outbox:
 
     def publish_all(self, messages: Iterable[Message]) -> list[SentMessage]:
         """Encode all messages, then send them at once: Zenoh then puts their frames into few packets."""
-        encoded = [self._encoded(message) for message in messages]
-        for sent, frame in encoded:
-            self._publishers[sent.key].put(frame)
-        self.published += len(encoded)
-        return [sent for sent, _ in encoded]
-
-    def _encoded(self, message: Message) -> tuple[SentMessage, bytes]:
-        key = self._keys[type(message)]
-        sequence = self._sequence[key]
-        header = Header(epoch=self.epoch, sequence=sequence, sent_monotonic_us=time.monotonic_ns() // 1000)
-        payload = encode(message, header)
-        self._sequence[key] = sequence + 1
-        return SentMessage(key, sequence, crc(payload)), payload
+        frames = []
+        for message in messages:
+            key, publisher, numbers = self._outlets[type(message)]
+            header = Header(epoch=self.epoch, sequence=next(numbers), sent_monotonic_us=time.monotonic_ns() // 1000)
+            payload = encode(message, header)
+            frames.append((publisher, payload, SentMessage(key, header.sequence, crc(payload))))
+        for publisher, payload, _ in frames:
+            publisher.put(payload)
+        self.published += len(frames)
+        return [sent for _, _, sent in frames]

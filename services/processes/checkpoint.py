@@ -18,6 +18,7 @@ import queue
 import threading
 import zlib
 from pathlib import Path
+from typing import NamedTuple
 
 import msgspec
 
@@ -74,7 +75,7 @@ class Checkpoint:
         self._resume_within_s = resume_within_s
         self._console = console
         self._problem, self._reported = "", ""  # of the last write; as it was reported last
-        self._authority: Authority | None = None  # that was kept last
+        self._newest: _Job | None = None  # state that was kept last
         self._jobs: queue.SimpleQueue[_Job | None] = queue.SimpleQueue()
         self._folder = _reserve(folder)
         self._found = self._read()
@@ -107,11 +108,11 @@ class Checkpoint:
     def keep(self, state: Message, now_us: int) -> None:
         """Write a state; wait for the disk if no thruster is driven any more."""
         assert isinstance(state, ControllerState)
-        job = _Job(state, Stamp(boot_id=boot_id(), written_us=now_us, reference_crc=self._reference_crc))
-        self._jobs.put(job)
-        released = state.authority not in DRIVEN and state.authority is not self._authority
-        self._authority = state.authority
-        if released and not job.done.wait(MAX_WAIT_S):
+        stamp = Stamp(boot_id=boot_id(), written_us=now_us, reference_crc=self._reference_crc)
+        before, self._newest = self._newest, _Job(state, stamp, threading.Event())
+        self._jobs.put(self._newest)
+        changed = before is None or state.authority is not before.state.authority
+        if changed and state.authority not in DRIVEN and not self._newest.done.wait(MAX_WAIT_S):
             self._problem = f"the disk does not answer within {MAX_WAIT_S:g} s"
 
     def show(self, status: ControllerStatus) -> None:
@@ -154,18 +155,10 @@ class Checkpoint:
 
     def _run(self) -> None:
         """Write the newest state again and again, in the thread of the disk."""
-        while True:
-            jobs = [self._jobs.get()]
-            while not self._jobs.empty():
-                jobs.append(self._jobs.get())
-            newest = next((job for job in reversed(jobs) if job is not None), None)
-            if newest is not None:
-                self._problem = self._write(newest)
-            for job in jobs:
-                if job is not None:
-                    job.done.set()
-            if None in jobs:
-                return
+        while (job := self._jobs.get()) is not None:
+            if job is self._newest:  # else a newer one replaces it
+                self._problem = self._write(job)
+            job.done.set()
 
     def _write(self, job: _Job) -> str:
         """Replace the file. Return what failed; empty if nothing did."""
@@ -181,12 +174,12 @@ class Checkpoint:
         return ""
 
 
-class _Job:
-    """State to write."""
+class _Job(NamedTuple):
+    """State to write, and what is set once that is done."""
 
-    def __init__(self, state: ControllerState, stamp: Stamp) -> None:
-        self.state, self.stamp = state, stamp
-        self.done = threading.Event()
+    state: ControllerState
+    stamp: Stamp
+    done: threading.Event
 
 
 def serialised(stamp: Stamp, state: ControllerState) -> bytes:

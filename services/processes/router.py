@@ -109,8 +109,7 @@ class _Report:
 def _zenoh_log(denials: Denials) -> Iterator[None]:
     """Redirect Zenoh's log, which goes to standard output only, to ``denials`` in this context."""
     log, into = os.pipe()
-    if hasattr(fcntl, "F_SETPIPE_SZ"):  # Linux
-        fcntl.fcntl(into, fcntl.F_SETPIPE_SZ, LOG_BYTES)
+    fcntl.fcntl(into, fcntl.F_SETPIPE_SZ, LOG_BYTES)
     before = os.dup(STDOUT)
     os.dup2(into, STDOUT)
     os.close(into)

@@ -23,8 +23,8 @@ class LossAccounting:
         self._sources: dict[tuple[str, int], SequenceGaps] = {}  # in the order of their newest message
         self._published = self._missing = 0  # of the sources that are no longer counted separately
 
-    def add(self, key: str, epoch: int, sequence: int) -> bool:
-        """Add a recorded message. Return False if it is a duplicate."""
+    def add(self, key: str, epoch: int, sequence: int) -> None:
+        """Add a recorded message."""
         name = key, epoch
         source = self._sources.pop(name, None)
         if source is None:
@@ -33,7 +33,7 @@ class LossAccounting:
         if len(self._sources) > self._max_sources:
             oldest = self._sources.pop(next(iter(self._sources)))
             self._published, self._missing = self._published + oldest.published, self._missing + oldest.missing
-        return source.add(sequence)
+        source.add(sequence)
 
     def fill(self, key: str, epoch: int, sequence: int) -> bool:
         """Count a message that was refused as no longer missing. Return True if it was missing."""

@@ -113,17 +113,11 @@ class SegmentWriter:
     def _open(self) -> RunWriter:
         path = next_segment(self._recording)
         try:
-            writer = RunWriter(path, start_ns=self._start_ns, metadata=self._metadata)
-            try:
-                writer.flush()
-            except OSError:
-                writer.abandon()
-                raise
+            return RunWriter(path, start_ns=self._start_ns, metadata=self._metadata)
         except OSError:
             with contextlib.suppress(OSError):
                 path.unlink()  # otherwise each attempt would leave an empty file
             raise
-        return writer
 
     def _reopen(self) -> RunWriter | None:
         now_s = self._clock()

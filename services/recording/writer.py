@@ -46,10 +46,8 @@ class RunWriter:
     ) -> None:
         self.path = path
         self.messages = 0
-        self._flushed_bytes = 0
         self._start_ns = start_ns
         self.flush_s = flush_s
-        self._flushed_at = time.monotonic()
         self._channels: dict[str, int] = {}
         self._schemas: dict[type[Message], int] = {}
         self.file = path.open("wb")
@@ -58,6 +56,7 @@ class RunWriter:
         try:
             self._mcap.start(PROFILE, LIBRARY)
             self._mcap.add_metadata(RUN, {"start_ns": str(start_ns), **metadata})
+            self.flush()
         except OSError:  # a full disk
             self._close()
             raise

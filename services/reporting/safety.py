@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import enum
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import msgspec
 
 from ltv_mpc.errors import with_reason
 from ltv_mpc.messages import FilterStatus, Health, LocalisationReport, Message, NodeStatus, Plan
 from services.supervisor.screen import in_order
+
+SELDOM = 0.01
+"""Largest share of cycles or reports that may be other than nominal in a run that was nominal at its end."""
 
 
 class Mood(enum.StrEnum):
@@ -43,10 +46,10 @@ class RunSafety:
     """Counter of what the messages of a run say about its safety. Give it every plan, filter report and status."""
 
     def __init__(self) -> None:
-        self._health: Counter[str] = Counter()
+        self._health: list[str] = []  # of each cycle
         self._authority: Counter[str] = Counter()
         self._origin: Counter[str] = Counter()
-        self._filter: Counter[str] = Counter()
+        self._filter: list[str] = []  # of each report
         self._nearest: tuple[float, str] | None = None  # least planned clearance (m), and the zone
         self._entered = 0  # cycles that began in a zone or margin
         self._lacking = 0  # plans that lack a required clearance
@@ -57,12 +60,12 @@ class RunSafety:
         """Count a message; ``epoch`` is the one of its sender."""
         match message:
             case Plan():
-                self._health[with_reason(message.health.value, message.health_why)] += 1
+                self._health.append(with_reason(message.health.value, message.health_why))
                 self._authority[message.authority.value] += 1
                 self._origin[message.origin.value] += 1
                 self._add_fence(message)
             case LocalisationReport():
-                self._filter[with_reason(message.status.value, message.why)] += 1
+                self._filter.append(with_reason(message.status.value, message.why))
             case NodeStatus():
                 self._add_status(message, epoch)
 
@@ -127,14 +130,17 @@ def _shares(counts: Mapping[str, int]) -> str:
     return ", ".join(f"{count} {value}" for value, count in counts.items())
 
 
-def _consistency(name: str, counts: Mapping[str, int], nominal: str, unit: str) -> Fact:
-    """Return in how many cycles or reports a state was nominal, and what it was most often otherwise."""
-    total, good = sum(counts.values()), counts.get(nominal, 0)
-    if not total:
+def _consistency(name: str, states: Sequence[str], nominal: str, unit: str) -> Fact:
+    """Return in how many cycles or reports a state was nominal, and what it was most often otherwise.
+
+    It is bad if it was not nominal at the end or in more than ``SELDOM`` of all: a start may wait for its inputs.
+    """
+    others = Counter(state for state in states if state != nominal)
+    if not states:
         return Fact(name=name, text="")
-    if good == total:
-        return Fact(name=name, text=f"{nominal} in all {total} {unit}", mood=Mood.GOOD)
-    others = {value: count for value, count in counts.items() if value != nominal}
-    most_frequent = max(others, key=lambda value: others[value])
-    text = f"{nominal} in {good} of {total} {unit}, otherwise most often {most_frequent}"
-    return Fact(name=name, text=text, mood=Mood.BAD)
+    if not others:
+        return Fact(name=name, text=f"{nominal} in all {len(states)} {unit}", mood=Mood.GOOD)
+    good, ((most_frequent, _),) = len(states) - others.total(), others.most_common(1)
+    bad = states[-1] != nominal or others.total() > SELDOM * len(states)
+    text = f"{nominal} in {good} of {len(states)} {unit}, otherwise most often {most_frequent}"
+    return Fact(name=name, text=text, mood=Mood.BAD if bad else Mood.NEUTRAL)

@@ -36,6 +36,12 @@ PROCESSES = frozenset((ROUTER, RECORDER, "plant", "sensors", "estimator", "contr
 """Processes of a run: only their statuses and rejections count, not those of programs beside it."""
 
 
+def metrics_of(run_config: RunConfig) -> RunMetrics:
+    """Return the metrics of a run before its first message."""
+    speed, in_places = run_config.scenario.run.speed, run_config.reference.in_places
+    return RunMetrics(run_config.vehicle, fence=run_config.fence, speed=speed, in_places=in_places)
+
+
 def summarise(
     run_config: RunConfig, metrics: RunMetrics, *, mode: str, messages: Messages, restarts: int = 0, why: str = ""
 ) -> Summary:
@@ -45,7 +51,6 @@ def summarise(
     """
     scenario = run_config.scenario
     measured = mode == SERVICES
-    errors = metrics.track.errors()
     nothing = quantiles([])
     return Summary(
         scenario=run_config.name,
@@ -57,12 +62,8 @@ def summarise(
         speed_reached=metrics.clock.reached() if measured else None,
         duration_s=_duration_ns(metrics.track.until_ns, scenario.end_ns) / 1e9,
         cycles=metrics.cycles,
-        tracking_error_m=errors.tracking,
-        true_error_m=errors.true,
-        true_error_drift_m=errors.true_drift,
+        **metrics.track.errors(),
         in_places=run_config.reference.in_places,
-        localisation_error_m=errors.localisation,
-        localisation_error_absolute_m=errors.localisation_absolute,
         further=further(metrics.track.positions),
         thrust=metrics.commands.thrust(),
         fence=metrics.fence.figures(),
@@ -137,12 +138,7 @@ def summarise_recording(run_config: RunConfig, path: Path) -> Found:
 
 def _summarise(run_config: RunConfig, recording: Recording) -> Found:
     learned = EstimatedCurrent()
-    metrics = RunMetrics(
-        run_config.vehicle,
-        fence=run_config.fence,
-        speed=run_config.scenario.run.speed,
-        in_places=run_config.reference.in_places,
-    )
+    metrics = metrics_of(run_config)
     acceptance = Acceptance(run_config.vehicle, speed=run_config.scenario.run.speed)
     faults, why = 0, ""
     reported: Counter[str] = Counter()  # rejected messages on record, by process

@@ -170,7 +170,8 @@ class ClockSync:
 
     def _report(self, kind: type[Message], epoch: int, step_ns: int, m_us: int) -> None:
         """Report a step. One that lateness alone shows is certain if a two-way exchange confirms the new clock."""
-        confirmed = epoch != self._reference and not self._has_own_clock(epoch, m_us) and self._is_two_way(m_us)
+        two_way = self.offset(m_us).mode is ClockMode.TWO_WAY
+        confirmed = epoch != self._reference and not self._has_own_clock(epoch, m_us) and two_way
         self._steps.append(
             ClockStep(
                 t_ns=self._clock.read(m_us) or 0,
@@ -202,9 +203,6 @@ class ClockSync:
         publisher = self._publishers[epoch]
         late_ns = LATE_NS if publisher.clock_steps else SHARED_CLOCK_LATE_NS
         return not publisher.agrees(self._publishers[self._reference], m_us, late_ns)
-
-    def _is_two_way(self, m_us: int) -> bool:
-        return self.offset(m_us).mode is ClockMode.TWO_WAY
 
     def _set(self, m_us: int, first_us: int) -> None:
         """Set the vehicle clock once ``GRACE_US`` have passed since the first input without a published clock."""

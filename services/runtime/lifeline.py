@@ -48,7 +48,6 @@ class Lifeline:
         self._fd: int | None = None  # of the socket
         self._watchdog_period_us: int | None = None
         self._status = ""
-        self._stopped = False
 
     def connect(self, environment: Mapping[str, str]) -> None:
         """Use the socket and the watchdog that a service manager has put into the environment of this process."""
@@ -96,16 +95,16 @@ class Lifeline:
             self._notify(f"STATUS={line}".encode())
 
     def stopping(self) -> None:
-        """Report that the loop has ended in order, and send nothing more."""
+        """Report that the loop has ended in order, and send nothing more; the socket stays open until the exit."""
         self._notify(STOPPING)
-        self.due_us, self._stopped = None, True
+        self.due_us = self._fd = None
 
     def _use(self, fd: int) -> None:
         os.set_blocking(fd, False)  # a receiver that does not read must not stop the controller
         self._fd = fd
 
     def _notify(self, notification: bytes) -> None:
-        if self._fd is not None and not self._stopped:
+        if self._fd is not None:
             with contextlib.suppress(OSError):  # the receiver is restarting or dead, or its queue is full
                 os.write(self._fd, notification)
 

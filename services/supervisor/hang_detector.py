@@ -37,7 +37,6 @@ class HangDetector:
         self._timeout_s = timeout_s
         self._checked_s = math.inf
         self._served_s: float | None = None  # None: the process is not silent
-        self._ended = False
 
     def beat(self, at_s: float) -> None:
         """Note a heartbeat that has arrived at ``at_s``."""
@@ -45,12 +44,12 @@ class HangDetector:
 
     def end(self) -> None:
         """Note that the loop has ended in order: no more heartbeats are expected."""
-        self._ended = True
+        self._timeout_s = math.inf
 
     def hung(self, now_s: float) -> bool:
         """Return True if the process hangs. Must be called often."""
         tick_s, self._checked_s = now_s - self._checked_s, now_s
-        if self.last_s is None or self._ended:
+        if self.last_s is None:
             return False
         silent_s = now_s - self.last_s
         if silent_s < QUIET_S:

@@ -8,12 +8,12 @@ times are in docs/notes/compile-time.md.
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import hashlib
 import os
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -35,6 +35,7 @@ MACHINE_CODE_BYTES = 15_500_000
 """Approximate size of all machine code. Its share grows as evenly as the time; that of the functions does not."""
 
 POLL_S = 0.2
+"""Time between two looks at the share."""
 
 
 def is_warm() -> bool:
@@ -56,13 +57,13 @@ def command(scenario: str) -> list[str]:
     return [sys.executable, "-P", "-m", "services.supervisor.jit_cache", scenario]
 
 
-def fill(scenario: Path, log: Path, group: int, wait: Callable[[float], None]) -> int:
-    """Run ``command`` in a process group, with its output in ``log``, and return its exit code.
+def fill(scenario: Path, log: Path | None, group: int, wait: Callable[[float], None]) -> int:
+    """Run ``command`` in a process group, 0: one of its own, with its output in ``log``, and return its exit code.
 
     ``wait`` is called again and again with the share that is compiled, approximately. An exception of it ends the
     compilation.
     """
-    with log.open("wb") as output:
+    with contextlib.nullcontext() if log is None else log.open("wb") as output:
         process = subprocess.Popen(
             command(str(scenario)),
             stdin=subprocess.DEVNULL,
@@ -132,14 +133,7 @@ def main(arguments: Sequence[str]) -> int:
     children = [
         subprocess.Popen([*command(scenario), name, str(os.getpid())], stdin=subprocess.DEVNULL) for name in PARTS
     ]
-    try:
-        while any(child.poll() is None for child in children):
-            time.sleep(POLL_S)
-    finally:
-        for child in children:
-            child.kill()
-            child.wait()
-    failed = [child.returncode for child in children if child.returncode]
+    failed = [code for child in children if (code := child.wait())]
     if not failed:
         mark().touch()
     return failed[0] if failed else 0

@@ -83,7 +83,7 @@ def export(folder: Path, cycle: RecordingSolver, vehicle: Vehicle, config: Resol
     generator.setup(P, numbers.q, A, at.l, at.u, **SETTINGS, eps_abs=0.1 * config.tolerance, max_iter=100_000)
     generator.codegen(str(folder), parameters="matrices", prefix="mpc_", extension_name=None, force_rewrite=True)
 
-    scale, column = scales(vehicle), layout.places.column
+    scale, column = scales(vehicle), layout.column
     names = (*STATES, ("change of port's command to the next", "N"), ("change of starboard's command to the next", "N"))
     rows = [(row.scale, f"{i}: {row.name} ({row.unit})") for i, row in enumerate(row_names(layout, scale))]
     placed = enumerate(np.argwhere(column >= 0))  # columns have the order of states and inputs

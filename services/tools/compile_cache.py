@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 import time
+from pathlib import Path
 
 from services.reporting.terminal import progress_bar
 from services.supervisor import jit_cache
@@ -12,17 +12,13 @@ from services.supervisor import jit_cache
 
 def main() -> int:
     """Compile what a run of the named scenario needs; return the exit code of the process that does it."""
-    before = jit_cache.stored_bytes()
-    process = subprocess.Popen(jit_cache.command(sys.argv[1]), stdin=subprocess.DEVNULL)
-    try:
-        with progress_bar("compiling, once") as told:
-            while process.poll() is None:
-                told(jit_cache.share(before))
-                time.sleep(jit_cache.POLL_S)
-    finally:
-        process.kill()
-        process.wait()
-    return process.returncode
+    with progress_bar("compiling, once") as told:
+
+        def wait(share: float) -> None:
+            told(share)
+            time.sleep(jit_cache.POLL_S)
+
+        return jit_cache.fill(Path(sys.argv[1]), None, 0, wait)
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ from services.recording.writer import RunWriter
 from services.run.folder import DELETED, RunFolder
 from services.run.nodes import make_nodes
 from services.run.run_config import RunConfig
-from services.run.summary import LOCKSTEP, STOPPED, summarise
+from services.run.summary import LOCKSTEP, STOPPED, metrics_of, summarise
 from services.run.water import EstimatedCurrent
 from sim.evaluation.metrics import RunMetrics
 from sim.evaluation.summary import Messages, Summary
@@ -93,8 +93,7 @@ def simulate(
     """
     _freeze_existing_objects()
     scenario = run_config.scenario
-    metrics = RunMetrics(run_config.vehicle, fence=run_config.fence, in_places=run_config.reference.in_places)
-    log = _Log(metrics, writer, keep)
+    log = _Log(metrics_of(run_config), writer, keep)
     recorded = writer is not None
     lockstep = LockStep(
         nodes or make_nodes(run_config, publish_unread_topics=recorded),

@@ -47,6 +47,9 @@ from sim.evaluation.fence_distances import FenceDistances
 from sim.evaluation.further import Positions
 from sim.evaluation.summary import Quantiles, Spread, Thrust
 
+ZERO = np.zeros(1, dtype=np.int64)
+"""Start of the descent (ns), (1,)."""
+
 AT_BOX_N = 1e-6
 """Largest distance of a saturated command from its minimum or maximum (N)."""
 
@@ -58,16 +61,6 @@ class _Target(NamedTuple):
     t_ns: int  # time at which the target is there: the plan's first knot
     position_m: Pair
     moves: bool  # along a path
-
-
-class Errors(NamedTuple):
-    """Errors of a run."""
-
-    tracking: Spread
-    true: Spread
-    localisation: Spread
-    localisation_absolute: Spread
-    true_drift: Spread
 
 
 class TrackErrors:
@@ -112,26 +105,28 @@ class TrackErrors:
         at = estimate[estimate[:, 0] > 0.0, 0]
         if not len(at) or not len(truth):
             return None
-        start = _track(estimate, np.zeros(1))
-        fix = np.zeros(2) if self._in_places else start - _track(truth, np.zeros(1))
-        return Positions(at / 1e9, _track(estimate, at), _track(truth, at) + fix, self._references(at, start))
+        shift = 0.0 if self._in_places else self._fix()
+        references = self._references(at, _track(estimate, ZERO))
+        return Positions(at / 1e9, _track(estimate, at), _track(truth, at) + shift, references)
 
-    def errors(self) -> Errors:
-        """Return all errors."""
-        at = self.positions
-        if at is None:
-            return Errors(*(_spread(np.empty(0)),) * 5)
-        fix = _track(_rows(self._estimate, 3), np.zeros(1)) - _track(_rows(self._truth, 3), np.zeros(1))
+    def errors(self) -> dict[str, Spread]:
+        """Return all errors by their names in ``Summary``."""
+        nothing = np.empty((0, 2))
+        at = self.positions or Positions(np.empty(0), nothing, nothing, nothing)
+        fix = self._fix() if self.positions else nothing
         drifting = at.true_m + fix if self._in_places else at.true_m
-        localisation = at.estimate_m - drifting
-        errors = (
-            at.estimate_m - at.reference_m,
-            at.true_m - at.reference_m,
-            localisation,
-            localisation + fix,
-            drifting - at.reference_m,
-        )
-        return Errors(*(_spread(np.hypot(*error.T)) for error in errors))
+        errors = {
+            "tracking_error_m": at.estimate_m - at.reference_m,
+            "true_error_m": at.true_m - at.reference_m,
+            "true_error_drift_m": drifting - at.reference_m,
+            "localisation_error_m": (localisation := at.estimate_m - drifting),
+            "localisation_error_absolute_m": localisation + fix,
+        }
+        return {name: _spread(np.hypot(*error.T)) for name, error in errors.items()}
+
+    def _fix(self) -> Array:
+        """Return estimate minus truth at t = 0, north and east (m), (1, 2)."""
+        return _track(_rows(self._estimate, 3), ZERO) - _track(_rows(self._truth, 3), ZERO)
 
     def _references(self, at: Array, start: Array) -> Array:
         """Return the reference of the newest plan at each time, (K, 2); before the first plan, that of the first.
@@ -182,9 +177,7 @@ class ThrustCommands:
         table = _rows(self._command, 10)
         rows, delivered = np.hsplit(table[table[:, 0] >= 0.0], 2)
         if len(rows) < 2:
-            return Thrust(
-                saturated_fraction=None, max_abs_N=None, mean_abs_N=None, travel_N=None, max_slew_N_per_s=None
-            )
+            return Thrust()
         h, F = np.diff(rows[:, 0]), rows[:, 1:3]  # (K-1,), (K, 2)
         limited = self._at_limits(rows[:, 1:4])
         vertical = float(np.average(limited[:, 2], weights=h)) if self._vehicle.can_dive else None

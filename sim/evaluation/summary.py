@@ -33,11 +33,11 @@ class Thrust(msgspec.Struct, frozen=True, kw_only=True):
     The vehicle file's ``slew_N_per_s`` limits the commands; the simulated propellers deliver with a slew of their own.
     """
 
-    saturated_fraction: float | None  # share of the time with either at its minimum or maximum
-    max_abs_N: float | None  # largest of both thrusters
-    mean_abs_N: float | None  # mean over time and both thrusters
-    travel_N: float | None  # sum of |dF| over both thrusters, a measure of wear
-    max_slew_N_per_s: float | None  # largest |dF/dt|
+    saturated_fraction: float | None = None  # share of the time with either at its minimum or maximum
+    max_abs_N: float | None = None  # largest of both thrusters
+    mean_abs_N: float | None = None  # mean over time and both thrusters
+    travel_N: float | None = None  # sum of |dF| over both thrusters, a measure of wear
+    max_slew_N_per_s: float | None = None  # largest |dF/dt|
     max_delivered_slew_N_per_s: float | None = None  # the same of the delivered thrust, from one truth to the next
     propulsive_energy_J: float | None = None  # at the shafts of all propellers; null without torque coefficients
     lateral_energy_J: float | None = None  # its part of the two lateral thrusters

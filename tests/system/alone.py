@@ -22,7 +22,8 @@ class Lines:
         self._process = process
         self._lines: SimpleQueue[str] = SimpleQueue()
         self.said: list[str] = []
-        threading.Thread(target=self._read, daemon=True).start()
+        self.reader = threading.Thread(target=self._read, daemon=True)
+        self.reader.start()
 
     def _read(self) -> None:
         assert self._process.stdout is not None
@@ -51,8 +52,9 @@ def started(*command: str, cwd: Path | None = None) -> Iterator[tuple[subprocess
     process = subprocess.Popen(
         command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=cwd
     )
+    lines = Lines(process)
     try:
-        yield process, Lines(process)
+        yield process, lines
     finally:
         process.terminate()
         try:
@@ -60,6 +62,7 @@ def started(*command: str, cwd: Path | None = None) -> Iterator[tuple[subprocess
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
+        lines.reader.join(10.0)  # it has read to the end, unless a child of the process holds the pipe open
         assert process.stdout is not None
         process.stdout.close()
 

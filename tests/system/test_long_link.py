@@ -71,7 +71,7 @@ def descent(link: Any = None) -> tuple[float, float]:
     settings: dict[str, Any] = {"start_ns": run_config.scenario.start_ns, "observation": observation}
     lockstep = LockStep(nodes, **settings) if link is None else FaultyLockStep(link, nodes, **settings)
     lockstep.advance(run_config.scenario.end_ns)
-    mean_m, delay_s = metrics.track.errors()[1].mean, metrics.delays.end_to_end().median
+    mean_m, delay_s = metrics.track.errors()["true_error_m"].mean, metrics.delays.end_to_end().median
     assert mean_m is not None
     assert delay_s is not None
     return mean_m, delay_s

@@ -17,7 +17,7 @@ import numpy as np
 from ltv_mpc.control.ocp.problem import Problem, optimality_error
 from ltv_mpc.control.solvers.active_set import BEYOND, CONVERGED, FAILED, NOT_CONVERGED, active_set
 from ltv_mpc.control.solvers.sweep import Sweep, sweep
-from ltv_mpc.jit import jit
+from ltv_mpc.jit import copy_to, jit
 from ltv_mpc.messages import Array
 
 MAX_OPTIMALITY_ERROR = 1e-5
@@ -100,13 +100,13 @@ def interior_point(p: Problem, work: Sweep, active: Array, max_sweeps: int, y: A
             regularisation = LAST_REGULARISATION
         failed = failed and same  # the active-set method, with these rows and earlier duals
         if mu < MU_IDENTIFIED and same and (mu < MU_CONVERGED or not failed):
-            _duals(barrier.nu, y)
+            copy_to(y, barrier.nu[0] - barrier.nu[1])
             outcome, more = active_set(p, work, active, LATER_SWEEPS, y)
             sweeps += more
             if outcome != NOT_CONVERGED:
                 return outcome, sweeps
             failed = True
-    _duals(barrier.nu, y)
+    copy_to(y, barrier.nu[0] - barrier.nu[1])
     return NOT_CONVERGED, sweeps
 
 
@@ -198,10 +198,3 @@ def _advance(barrier: _Barrier, primal: float, dual: float, active: Array) -> tu
         if now != active.flat[row]:
             active.flat[row], same = now, False
     return same, float(total / count)
-
-
-@jit
-def _duals(nu: Array, y: Array) -> None:
-    """Compute y (N+1, M) from the duals of both sides."""
-    for i in range(y.size):
-        y.flat[i] = nu.flat[i] - nu.flat[y.size + i]

@@ -22,6 +22,7 @@ solution and copies all settings and results, which takes as long as two Riccati
 
 from __future__ import annotations
 
+import math
 import signal
 from typing import NamedTuple
 
@@ -42,12 +43,12 @@ from ltv_mpc.control.solvers.sparse import (
     HARD,
     LOWER,
     UPPER,
-    Indices,
     Numbers,
     Places,
     SparseLayout,
     fill,
     fits,
+    solution_of,
 )
 from ltv_mpc.control.solvers.sweep import Sweep
 from ltv_mpc.jit import jit
@@ -222,12 +223,12 @@ class OsqpSolver:
             return self._no_solution("the problem is not finite")
         settings.eps_abs = max(self._tolerance * size, ROUNDING * costate if layout.soft_rows else 0.0)
         if self._solver is None:
-            rescale(layout.places, at)  # changes nothing, but is compiled now and not with the first hard problem
+            rescale(layout.places, at, size)  # changes nothing, but is compiled now and not with the first hard problem
             P, A = (_csc(of, data) for of, data in ((layout.P, at.numbers.P), (layout.A, at.A)))
             self._solver = ext_builtin.OSQPSolver(
                 P, at.numbers.q, A, at.l, at.u, layout.rows, layout.variables, settings
             )
-        solver, z = self._solver, np.zeros(p.h.shape)
+        solver = self._solver
         _load(solver, at, at.numbers.P)
         iterations, batch = 0, 0
         while True:
@@ -241,21 +242,23 @@ class OsqpSolver:
                 signal.raise_signal(signal.SIGINT)  # OSQP catches Ctrl-C during a solve
             batch += 1
             iterations += int(info.iter)
-            at.x[:] = solution.x
-            if not store_solution(at.x, solution.y, at.scale, at.y, layout.places.column, layout.limit, z, self.duals):
+            at.x[:], at.y[:] = solution.x, solution.y * at.scale
+            if not math.isfinite(np.vdot(at.x, at.x) + np.vdot(at.y, at.y)):
                 self._solver = None
                 return self._no_solution("OSQP returned a value that is not finite; rebuilt")
             if status == SOLVED or iterations >= self._max_iterations:
                 break
-            if rescale(layout.places, at) > 0:
+            if rescale(layout.places, at, size) > 0:
                 _load(solver, at, None)
+        self.duals[:] = 0.0
+        np.add.at(self.duals.reshape(-1), layout.places.source[layout.of_limit], at.y[layout.of_limit])
         report = STATUS.get(status, SolveStatus.FAILED)
         primal, dual, why = float(info.prim_res), float(info.dual_res), ""
         if report is not SolveStatus.SOLVED:
             named = report.value.replace("_", " ")
             why = f"OSQP: {named} after {iterations} iterations, primal residual {primal:.1e}, dual {dual:.1e}"
         solve = Solve(status=report, iterations=iterations, primal_residual=primal, dual_residual=dual, why=why)
-        return Result(z, solve)
+        return Result(solution_of(p, at.x), solve)
 
     def _no_solution(self, why: str) -> Result:
         """Return no deviation and a report that says why; the warm start is discarded."""
@@ -297,22 +300,21 @@ def prepare(p: Problem, places: Places, work: Sweep, duals: Array, at: Arrays) -
     costate = np.zeros((p.h.shape[0], p.f.shape[1]))
     costates(p, work.z, duals, costate)
     _guess(p, places, work, duals, costate, at)
-    if rescale(places, at) < 0:
+    size = dual_scale(at.numbers.q[: len(p.f) * p.h.shape[1]])
+    if rescale(places, at, size) < 0:
         return NOT_FINITE, 0.0
     largest = 0.0
     for i in range(p.f.size):
         largest = max(largest, abs(at.y[i]))
-    return dual_scale(at.numbers.q, places), largest
+    return size, largest
 
 
 @jit
 def _guess(p: Problem, places: Places, work: Sweep, duals: Array, costate: Array, at: Arrays) -> None:
     """Write the first guess into x and y."""
     n = p.f.shape[1]
-    for k in range(places.column.shape[0]):
-        for j in range(places.column.shape[1]):
-            if places.column[k, j] >= 0:
-                at.x[places.column[k, j]] = work.z[k, j]
+    for i in range(len(p.f) * p.h.shape[1]):
+        at.x[i] = work.z.flat[n + i]
     for row in range(len(places.kind)):
         kind, i = places.kind[row], places.source[row]
         if kind == DYNAMICS:
@@ -332,41 +334,37 @@ def _guess(p: Problem, places: Places, work: Sweep, duals: Array, costate: Array
 
 
 @jit
-def dual_scale(q: Array, places: Places) -> float:
+def dual_scale(q: Array) -> float:
     """Return the factor by which duals, and so step sizes and residuals, are larger than for a small gradient.
 
     The cost of an excess does not count as gradient: it acts only beyond a limit.
 
     Parameters
     ----------
-    q : (n,) linear cost.
-    places : columns of states and inputs.
+    q : linear cost of states and inputs.
 
     Returns
     -------
     Factor >= 1.
     """
-    gradient = 0.0
-    for i in range(places.column.size):
-        if places.column.flat[i] >= 0:
-            gradient = max(gradient, abs(q[places.column.flat[i]]))
-    return float(max(1.0, np.sqrt(gradient / GRADIENT)))
+    return float(max(1.0, np.sqrt(np.abs(q).max() / GRADIENT)))
 
 
 @jit
-def rescale(places: Places, at: Arrays) -> int:
+def rescale(places: Places, at: Arrays, size: float) -> int:
     """Scale the rows of the problem and of its dual, by the limits that the dual shows to be active.
 
     Parameters
     ----------
     places : kinds of the rows.
     at : its scaled parts are overwritten.
+    size : ``dual_scale`` of the problem.
 
     Returns
     -------
     1 if a scale has changed, 0 if none has, -1 if a number is not finite.
     """
-    numbers, y, size = at.numbers, at.y, dual_scale(at.numbers.q, places)
+    numbers, y = at.numbers, at.y
     free = min(LIMIT_ROW * size, MAX_LIMIT_ROW)
     changed, total = 0, np.sum(numbers.q) + np.sum(numbers.P)
     for i in range(len(y)):
@@ -389,32 +387,3 @@ def rescale(places: Places, at: Arrays) -> int:
         at.A[i] = numbers.A[i] * at.scale[places.row[i]]
         total += at.A[i]
     return changed if np.isfinite(total) else -1
-
-
-@jit
-def store_solution(
-    x: Array, scaled_y: Array, scale: Array, y: Array, column: Indices, limit: Indices, z: Array, duals: Array
-) -> bool:
-    """Store a solution, with the duals of the unscaled rows.
-
-    Parameters
-    ----------
-    x, scaled_y : (n,) and (m,) the solution and its dual, of the scaled rows.
-    scale, y : (m,) of its ``Arrays``; y is overwritten.
-    column, limit : of its layout.
-    z : (N+1, n+m) is overwritten with states and inputs.
-    duals : (N+1, M) is overwritten with the duals of the limits.
-
-    Returns
-    -------
-    True if the solution is finite.
-    """
-    for i in range(z.size):
-        if column.flat[i] >= 0:
-            z.flat[i] = x[column.flat[i]]
-    duals[:, :] = 0.0
-    for row in range(len(y)):
-        y[row] = scaled_y[row] * scale[row]
-        if limit[row] >= 0:
-            duals.flat[limit[row]] += y[row]
-    return bool(np.isfinite(np.sum(x) + np.sum(y)))

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Callable
 
 from ltv_mpc.control.config import ControllerConfig
-from ltv_mpc.control.failed_qp import NamedQp, row_names
+from ltv_mpc.control.failed_qp import NamedQp
 from ltv_mpc.control.ocp.assembly import scales
 from ltv_mpc.control.ocp.problem import Problem
 from ltv_mpc.control.solvers import SolverFactory, make
 from ltv_mpc.control.solvers.interface import Result, Solver
-from ltv_mpc.control.solvers.sparse import SparseLayout
 from ltv_mpc.messages import Array, SolveStatus
 from ltv_mpc.vehicle.parameters import Vehicle
 
@@ -24,9 +24,9 @@ class RecordingSolver:
     problem: Problem
     result: Result
 
-    def __init__(self, solver: Solver) -> None:
-        """Wrap ``solver``."""
-        self.solver = solver
+    def __init__(self, solver: Solver, note: Callable[[Problem, Result], None] | None = None) -> None:
+        """Wrap ``solver``; ``note`` is called after each solve."""
+        self.solver, self._note = solver, note
         self.set_up = solver.set_up
 
     def solve(self, problem: Problem, shift: float, *, last: bool = True) -> Result:
@@ -38,6 +38,8 @@ class RecordingSolver:
         """
         self.problem = problem
         self.result = self.solver.solve(problem, shift, last=last)
+        if self._note is not None:
+            self._note(problem, self.result)
         return self.result
 
 
@@ -47,49 +49,28 @@ class QpRecorder:
     def __init__(self, make_solver: SolverFactory = make) -> None:
         """Wrap the solvers that ``make_solver`` makes."""
         self._make_solver = make_solver
-        self._newest: _NamingSolver | None = None
+        self._newest: tuple[Problem, Array, Result] | None = None  # with the problem's scales
         self.failed: NamedQp | None = None
         """The last QP that was not solved, if there was one."""
 
     def __call__(self, vehicle: Vehicle, config: ControllerConfig) -> Solver:
         """Return a solver for these settings."""
-        return _NamingSolver(self._make_solver(vehicle, config), self, scales(vehicle))
+        scale = scales(vehicle)
+
+        def note(problem: Problem, result: Result) -> None:
+            self._newest = problem, scale, result
+            if result.solve.status is not SolveStatus.SOLVED:
+                with contextlib.suppress(Exception):  # a problem that cannot be laid out must not cost the cycle
+                    self.failed = self.newest()
+
+        return RecordingSolver(self._make_solver(vehicle, config), note)
 
     def newest(self) -> NamedQp | None:
         """Return the QP that was solved last, with the names of its rows: until the next cycle that of the plan.
 
         None before the first cycle that has one.
         """
-        return None if self._newest is None else self._newest.named()
-
-    def add(self, solver: _NamingSolver) -> None:
-        """Note the solver of the newest QP, and the QP if it was not solved.
-
-        Parameters
-        ----------
-        solver : wrapped solver that has just solved it, or has failed.
-        """
-        self._newest = solver
-        if solver.result.solve.status is not SolveStatus.SOLVED:
-            with contextlib.suppress(Exception):  # a problem that cannot be laid out must not cost the cycle
-                self.failed = solver.named()
-
-
-class _NamingSolver(RecordingSolver):
-    """Solver wrapper that reports each solve to its recorder."""
-
-    def __init__(self, solver: Solver, recorder: QpRecorder, scale: Array) -> None:
-        super().__init__(solver)
-        self._recorder, self._scale = recorder, scale
-
-    def solve(self, problem: Problem, shift: float, *, last: bool = True) -> Result:
-        """Solve, and report it."""
-        result = super().solve(problem, shift, last=last)
-        self._recorder.add(self)
-        return result
-
-    def named(self) -> NamedQp:
-        """Return the last problem as a QP with the names of its rows."""
-        layout = SparseLayout(self.problem)
-        qp = layout.assemble(layout.filled(self.problem))
-        return NamedQp(qp, row_names(layout, self._scale), self.result.solve)
+        if self._newest is None:
+            return None
+        problem, scale, result = self._newest
+        return NamedQp.of(problem, scale, result.solve)

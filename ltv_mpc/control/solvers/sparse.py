@@ -2,7 +2,8 @@
 
     minimise 1/2 x' P x + q' x   subject to   l <= A x <= u
 
-Columns: u_0, x_1, u_1, x_2, .. u_(N-1), x_N, then an excess for each soft row. Rows: the dynamics of each stage,
+Columns: u_0, x_1, u_1, x_2, .. u_(N-1), x_N, which is z from its number n on, then an excess for each soft row. Rows:
+the dynamics of each stage,
 
     F_k z_k - x_(k+1) = -f_k
 
@@ -16,7 +17,7 @@ both, so it grows in the first cycles and then stays.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -35,6 +36,9 @@ from ltv_mpc.vehicle.parameters import Vehicle
 
 Indices = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
+
+Entries: TypeAlias = tuple[Indices, Indices, Indices]
+"""Row and column of some entries, and where their numbers come from."""
 
 DYNAMICS, HARD, UPPER, LOWER, EXCESS = range(5)
 """Kinds of rows."""
@@ -67,7 +71,6 @@ class Masks(NamedTuple):
 class Places(NamedTuple):
     """Places of a problem's numbers in the QP: among stored entries, with indices in flat arrays."""
 
-    column: Indices  # (N+1, n+m) column of each number of z; -1: none
     excess: Indices  # (N+1, M) column of each row's excess; -1: none
     kind: Indices  # (rows,) kind of each row of A
     source: Indices  # (rows,) index of its dynamics in f, or of its limit in low
@@ -95,9 +98,9 @@ class SparseLayout:
         self.masks: Masks = Masks(*masks)
         N, n, m, _ = p.sizes
         z = n + m
-        column = np.full((N + 1, z), -1, dtype=np.int64)
-        stages = np.arange(N * z).reshape(N, z)
-        column[:-1, n:], column[1:, :n] = stages[:, :m], stages[:, m:]
+        column = np.arange((N + 1) * z).reshape(N + 1, z) - n
+        self.column: Indices = np.where(column < N * z, column, -1)
+        """(N+1, n+m) column of each number of z; negative: none."""
         has_bound = self.masks.low | self.masks.high
         soft = self.masks.soft & has_bound
         excess = np.where(soft, N * z + np.cumsum(soft).reshape(soft.shape) - 1, -1)
@@ -106,22 +109,23 @@ class SparseLayout:
             sides = ((UPPER, self.masks.high), (LOWER, self.masks.low), (EXCESS, soft))
             rows += [(side, i) for side, mask in sides if mask.flat[i]] if soft.flat[i] else [(HARD, i)]
         kind, source = np.array(rows, dtype=np.int64).reshape(-1, 2).T
-        self.limit: Indices = np.where((kind == DYNAMICS) | (kind == EXCESS), -1, source)
-        """Index of each row's limit in low; -1 for a row that is none."""
+        self.of_limit = np.flatnonzero((kind != DYNAMICS) & (kind != EXCESS))
+        """Rows of limits."""
         self.soft_rows = int(soft.sum())
         """Number of soft rows of limits."""
         self.variables = N * z + self.soft_rows
         """Number of columns n."""
         self.rows = len(kind)
         """Number of rows m."""
-        self.P, H = _placed(*_hessian_entries(self.masks.H, column), (self.variables, self.variables))
-        row, col, index, first_G, first_constant, values = _row_entries(self.masks, column, excess, kind, source)
+        self.P, H = _placed(*_hessian_entries(self.masks.H, self.column), (self.variables, self.variables))
+        entries = _row_entries(self.masks, self.column, excess, kind, source, self.of_limit)
+        row, col, index = (np.concatenate(part) for part in zip(*entries, strict=True))
         self.A, at = _placed(row, col, index, (self.rows, self.variables))
         """Pattern of A; its numbers are those that never change."""
+        F, G, constant = np.split(at, np.cumsum([len(part[0]) for part in entries])[:2], axis=1)
         self.A.data[:] = 0.0
-        self.A.data[at[0, first_constant:]] = values
-        F, G = at[:, :first_G], at[:, first_G:first_constant]
-        self.places = Places(column, excess, kind, source, H, F, G, self.A.indices.astype(np.int64))
+        self.A.data[constant[0]] = constant[1]
+        self.places = Places(excess, kind, source, H, F, G, self.A.indices.astype(np.int64))
 
     def allocate(self) -> Numbers:
         """Return arrays for the numbers of a QP, with those entries of A that never change."""
@@ -129,8 +133,8 @@ class SparseLayout:
             np.zeros(self.P.nnz), np.zeros(self.variables), self.A.data.copy(), np.zeros(self.rows), np.zeros(self.rows)
         )
 
-    def filled(self, p: Problem) -> Numbers:
-        """Return the numbers of the QP of a problem.
+    def qp(self, p: Problem) -> QP:
+        """Return the QP of a problem, with both triangles of P.
 
         Parameters
         ----------
@@ -138,15 +142,6 @@ class SparseLayout:
         """
         numbers = self.allocate()
         fill(p, self.places, numbers)
-        return numbers
-
-    def assemble(self, numbers: Numbers) -> QP:
-        """Return the QP that has these numbers, with both triangles of P.
-
-        Parameters
-        ----------
-        numbers : of this layout.
-        """
         upper = csc_array((numbers.P, self.P.indices, self.P.indptr), shape=self.P.shape)
         both = csc_array(upper + upper.T - csc_array(np.diag(upper.diagonal())))
         A = csc_array((numbers.A, self.A.indices, self.A.indptr), shape=self.A.shape)
@@ -160,8 +155,7 @@ def sparse_qp(p: Problem) -> QP:
     ----------
     p : problem.
     """
-    layout = SparseLayout(p)
-    return layout.assemble(layout.filled(p))
+    return SparseLayout(p).qp(p)
 
 
 def build_qp(
@@ -205,13 +199,13 @@ def solution_of(p: Problem, x: Array) -> Array:
     x : primal solution.
     """
     N, n, m, _ = p.sizes
-    z, stages = np.zeros((N + 1, n + m)), x[: N * (n + m)].reshape(N, n + m)
-    z[:-1, n:], z[1:, :n] = stages[:, :m], stages[:, m:]
+    z, columns = np.zeros((N + 1, n + m)), N * (n + m)
+    z.flat[n : n + columns] = x[:columns]
     return z
 
 
-def _hessian_entries(mask: Mask, column: Indices) -> tuple[Indices, Indices, Indices]:
-    """Return row, column and index in H of the entries of the upper triangle of P."""
+def _hessian_entries(mask: Mask, column: Indices) -> Entries:
+    """Return the entries of the upper triangle of P, with their indices in H."""
     k, i, j = np.nonzero(mask)
     row, col = column[k, i], column[k, j]
     stored = (row >= 0) & (col >= 0) & (row <= col)
@@ -219,25 +213,24 @@ def _hessian_entries(mask: Mask, column: Indices) -> tuple[Indices, Indices, Ind
 
 
 def _row_entries(
-    masks: Masks, column: Indices, excess: Indices, kind: Indices, source: Indices
-) -> tuple[Indices, Indices, Indices, int, int, Array]:
-    """Return row, column and index of the entries of A: those of F, of G, the constant ones; and their values."""
+    masks: Masks, column: Indices, excess: Indices, kind: Indices, source: Indices, of_limit: Indices
+) -> tuple[Entries, Entries, Entries]:
+    """Return the entries of A: of F and of G, with their indices there, and the constant ones, with their values."""
     F, G = masks.F, masks.G
     N, n, _ = F.shape
     k, i, j = np.nonzero(F)
     stored = column[k, j] >= 0
-    parts = [(k[stored] * n + i[stored], column[k, j][stored], np.flatnonzero(F)[stored])]
-    of_limit = np.flatnonzero((kind != DYNAMICS) & (kind != EXCESS))
+    of_F = k[stored] * n + i[stored], column[k, j][stored], np.flatnonzero(F)[stored]
     k, i = np.divmod(source[of_limit], max(G.shape[1], 1))
     entry, j = np.nonzero(G[k, i] & (column[k] >= 0))
-    parts.append((of_limit[entry], column[k[entry], j], source[of_limit[entry]] * G.shape[2] + j))
-    of_excess = np.flatnonzero((kind != DYNAMICS) & (kind != HARD))
-    parts.append((np.arange(N * n), column[1:, :n].ravel(), np.zeros(N * n, dtype=np.int64)))
-    parts.append((of_excess, excess.flat[source[of_excess]], np.zeros(len(of_excess), dtype=np.int64)))
-    row, col, index = (np.concatenate(of) for of in zip(*parts, strict=True))
-    first_G, first_constant = len(parts[0][0]), len(parts[0][0]) + len(parts[1][0])
-    values = np.concatenate([-np.ones(N * n), np.where(kind[of_excess] == UPPER, -1.0, 1.0)])
-    return row, col, index, first_G, first_constant, values
+    of_G = of_limit[entry], column[k[entry], j], source[of_limit[entry]] * G.shape[2] + j
+    soft = np.flatnonzero((kind != DYNAMICS) & (kind != HARD))
+    constant = (
+        np.concatenate([np.arange(N * n), soft]),
+        np.concatenate([column[1:, :n].ravel(), excess.flat[source[soft]]]),
+        np.concatenate([np.full(N * n, -1), np.where(kind[soft] == UPPER, -1, 1)]),
+    )
+    return of_F, of_G, constant
 
 
 def _placed(row: Indices, column: Indices, index: Indices, shape: tuple[int, int]) -> tuple[csc_array, Indices]:
@@ -282,10 +275,8 @@ def fill(p: Problem, at: Places, to: Numbers) -> None:
         to.A[at.F[0, i]] = p.F.flat[at.F[1, i]]
     for i in range(at.G.shape[1]):
         to.A[at.G[0, i]] = p.G.flat[at.G[1, i]]
-    for k in range(at.column.shape[0]):
-        for j in range(at.column.shape[1]):
-            if at.column[k, j] >= 0:
-                to.q[at.column[k, j]] = p.h[k, j]
+    for i in range(len(p.f) * p.h.shape[1]):
+        to.q[i] = p.h.flat[p.f.shape[1] + i]
     for row in range(len(at.kind)):
         kind, i = at.kind[row], at.source[row]
         if kind == DYNAMICS:

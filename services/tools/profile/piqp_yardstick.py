@@ -48,7 +48,7 @@ class PiqpYardstick:
         self._low[self._bounded], self._high[self._bounded] = l[self._bound], u[self._bound]
         bounds = {"x_l": self._low, "x_u": self._high, "h_l": l[self._other], "h_u": u[self._other]}
         if self._solver is None:
-            pattern, whole = layout.P, csc_matrix(layout.assemble(self._numbers).A)
+            pattern, whole = layout.P, csc_matrix((A, layout.A.indices, layout.A.indptr), layout.A.shape)
             self._P = csc_matrix((P.copy(), pattern.indices, pattern.indptr), pattern.shape)  # PIQP reads this half
             self._A, self._G = csc_matrix(whole[self._equal]), csc_matrix(whole[self._other])
             self._solver = piqp.SparseSolver()

@@ -7,26 +7,24 @@ import numpy as np
 import pytest
 
 from ltv_mpc import Controller, ControllerConfig, Estimate, PlanOrigin, SolveStatus, Vehicle, references
-from ltv_mpc.control.failed_qp import NamedQp, row_names, worst_violation
+from ltv_mpc.control.failed_qp import NamedQp, worst_violation
 from ltv_mpc.control.ocp.assembly import scales
 from ltv_mpc.control.solvers.recorder import QpRecorder
-from ltv_mpc.control.solvers.sparse import SparseLayout
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Solve
 from tests.ltv_mpc.control.problems import Form, equidistant, motion
 
 PAPER = Vehicle.load("paper")
+FAILED = Solve(status=SolveStatus.FAILED)
 
 
-def built():
-    problem = Form(equidistant(5)).problem(*motion(3, 5))
-    layout = SparseLayout(problem)
-    return layout.assemble(layout.filled(problem)), row_names(layout, scales(PAPER))
+def built(solve=FAILED) -> NamedQp:
+    return NamedQp.of(Form(equidistant(5)).problem(*motion(3, 5)), scales(PAPER), solve)
 
 
 def test_every_row_has_words_and_a_scale():
     """A change of a command shows in the row of that thruster's slew, and its sum in that of its limit, in N."""
-    qp, rows = built()
+    qp, rows = built().qp, built().rows
     assert len(rows) == len(qp.l) == len({row.name for row in rows})
     for k in range(5):
         for i, side in enumerate(("port", "starboard")):
@@ -45,7 +43,8 @@ def test_every_row_has_words_and_a_scale():
 
 
 def test_the_worst_row_is_named_with_its_violation_in_newtons():
-    qp, rows = built()
+    named = built()
+    qp, rows = named.qp, named.rows
     x = np.zeros(len(qp.q))
     i = next(i for i, row in enumerate(rows) if row.name == "slew of starboard in stage 4")
     qp.l[:], qp.u[:] = -1e3, 1e3
@@ -56,13 +55,13 @@ def test_the_worst_row_is_named_with_its_violation_in_newtons():
 
 
 def test_faults_name_what_is_not_finite_and_bounds_that_exclude_each_other():
-    qp, rows = built()
-    row = next(i for i, row in enumerate(rows) if row.name == "limit of port at the end of stage 2")
+    named = built()
+    qp = named.qp
+    row = next(i for i, row in enumerate(named.rows) if row.name == "limit of port at the end of stage 2")
     qp.l[row] = qp.u[row] + 0.1
     qp.q[3] = np.nan
     qp.u[0] = np.nan
-    said = NamedQp(qp, rows, Solve(status=SolveStatus.FAILED)).faults()
-    assert said == [
+    assert named.faults() == [
         f"q: 1 of {len(qp.q)} numbers are not finite",
         "u of dynamics of north in stage 1 is not a number",
         "limit of port at the end of stage 2: lower bound above the upper one by 6.25 N",
@@ -70,9 +69,8 @@ def test_faults_name_what_is_not_finite_and_bounds_that_exclude_each_other():
 
 
 def test_a_saved_problem_comes_back_as_it_was(tmp_path):
-    qp, rows = built()
-    qp.q[0] = np.nan
-    kept = NamedQp(qp, rows, Solve(status=SolveStatus.ITERATION_LIMIT, iterations=400, why="so"))
+    kept = built(Solve(status=SolveStatus.ITERATION_LIMIT, iterations=400, why="so"))
+    kept.qp.q[0] = kept.qp.A.data[1] = np.nan
     kept.save(tmp_path / "one.qp")
     back = NamedQp.load(tmp_path / "one.qp")
     for name in ("q", "l", "u"):
@@ -87,24 +85,29 @@ def test_a_saved_problem_comes_back_as_it_was(tmp_path):
 def content(tmp_path_factory):
     """Return the content of a file."""
     path = tmp_path_factory.mktemp("parts") / "one.qp"
-    NamedQp(*built(), Solve(status=SolveStatus.FAILED)).save(path)
+    built().save(path)
     return msgspec.msgpack.decode(path.read_bytes())
 
 
 @pytest.mark.parametrize(
     "wrong",
     [
-        {"format": "ltv-mpc qp 1"},
+        {"format": "ltv-mpc qp 2"},
         {"rows": [["slew", 1.0]]},
-        {"P": {"data": [1.0], "indices": [2**40], "indptr": [0, 1]}},
-        {"A": {"data": [1.0], "indices": [0], "indptr": [0, 1]}},
+        {"rows": []},
+        {"P": [[1.0], [2**40], [0, 1], [1, 1]]},
+        {"P": [[1.0], [0], [0, 1], [1, 1]]},
+        {"A": [[1.0], [0], [0, 1], [1, 1]]},
+        {"A": [["1"], [0], [0, 1], [1, 1]]},
+        {"A": 1.0},
         {"u": None},
     ],
     ids=str,
 )
 def test_parts_of_another_kind_are_refused_by_name(tmp_path, content, wrong):
     path = tmp_path / "bad.qp"
-    path.write_bytes(msgspec.msgpack.encode(content | wrong))
+    parts = {key: wrong.get(key, part) for key, part in content["qp"].items()}
+    path.write_bytes(msgspec.msgpack.encode(content | {"qp": parts} | wrong))
     with pytest.raises(ConfigError, match=r"QP file .*bad\.qp: is not a QP saved by this program"):
         NamedQp.load(path)
 

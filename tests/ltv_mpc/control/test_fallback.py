@@ -178,7 +178,7 @@ STAGES = (
     (SentCommands, "at"),
     (EstimateGate, "check"),
     (OsqpSolver, "solve"),
-    (SparseLayout, "assemble"),
+    (SparseLayout, "qp"),
 )
 
 

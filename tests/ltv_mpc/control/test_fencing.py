@@ -120,37 +120,29 @@ def test_a_vehicle_inside_a_zone_leaves_it_by_the_nearest_exit() -> None:
 FAR_DISC = disc(1000.0, 0.0, 3.0)
 
 
-def test_a_cycle_has_two_qps_and_a_third_after_a_step_into_a_zone() -> None:
-    rows: list[int] = []
+def test_the_first_cycle_with_a_fence_sets_up_its_solver_and_a_step_into_a_zone_costs_a_third_qp() -> None:
+    rows, solvers = list[int](), list[Solver]()
 
     class Counting(RecordingSolver):
         def solve(self, problem: Problem, shift: float, *, last: bool = True) -> Result:
             rows.append(problem.sizes[3] - ROWS)
             return super().solve(problem, shift, last=last)
 
-    of = Controller(CRAFT, Point(north_m=GOAL[0], east_m=GOAL[1]), make_solver=lambda *of: Counting(make(*of)))
+    def make_counting(vehicle: Vehicle, config: ControllerConfig) -> Solver:
+        solvers.append(Counting(make(vehicle, config)))
+        return solvers[-1]
+
+    of = Controller(CRAFT, Point(north_m=GOAL[0], east_m=GOAL[1]), make_solver=make_counting)
+    of.plan(drifting())
+    assert len(solvers) == 1
     of.set_fence(FAR_DISC)
     of.plan(drifting())  # the first cycle with a fence has rows in any case
+    assert len(solvers) == 2
     for fence, expected in ((FAR_DISC, [0, 0]), (disc(5.0, 0.0, 2.0), [0, 3, 3])):
         of.set_fence(fence)
         rows.clear()
         of.plan(msgspec.structs.replace(drifting(), t_ns=300_000_000))
         assert rows == expected
-
-
-def test_the_first_cycle_with_a_fence_sets_up_the_solver_of_its_rows() -> None:
-    made: list[Solver] = []
-
-    def make_counted(vehicle: Vehicle, config: ControllerConfig) -> Solver:
-        made.append(make(vehicle, config))
-        return made[-1]
-
-    of = Controller(CRAFT, Point(north_m=GOAL[0], east_m=GOAL[1]), make_solver=make_counted)
-    of.plan(drifting())
-    assert len(made) == 1
-    of.set_fence(FAR_DISC)
-    of.plan(drifting())
-    assert len(made) == 2
 
 
 def test_between_walls_that_are_too_near_for_their_margins_the_hull_stays_free() -> None:

@@ -44,7 +44,7 @@ def form_of(limits: MotionLimits) -> Form:
 
 def laid_out(problem: Problem) -> tuple[SparseLayout, QP]:
     layout = SparseLayout(problem)
-    return layout, layout.assemble(layout.filled(problem))
+    return layout, layout.qp(problem)
 
 
 @pytest.mark.parametrize("limits", [YAW, BOTH, AHEAD], ids=["yaw", "both", "ahead"])

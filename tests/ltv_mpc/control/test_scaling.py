@@ -107,7 +107,7 @@ def test_the_weaker_side_of_a_turn_counts() -> None:
         PAPER,
         thruster=msgspec.structs.replace(lateral, starboard=msgspec.structs.replace(lateral.starboard, min_N=-15.0)),
     )
-    assert weaker_couple(uneven, uneven.coefficients()) == pytest.approx(0.2 * (62.5 + 15.0))
+    assert weaker_couple(uneven) == pytest.approx(0.2 * (62.5 + 15.0))
 
 
 @pytest.mark.parametrize("name", SHIPPED)

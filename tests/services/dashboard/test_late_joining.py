@@ -143,7 +143,7 @@ def test_a_page_that_a_busy_machine_kept_from_reading_lacks_nothing(tmp_path: Pa
 
 def check_whole(feed: BusFeed, publisher: Publisher) -> None:
     """Check that the page shows the figures of the verdict, and the dive from its start."""
-    _, true, *_ = verdict().track.errors()
+    true = verdict().track.errors()["true_error_m"]
     shown = pytest.approx(true.final, abs=SPEED_NORTH_MPS * CYCLE_NS / S)  # the newest waits for a plan
     until(lambda: distance_m(feed) == shown or publisher.repeat())
     assert "since_s" not in feed.collector.values

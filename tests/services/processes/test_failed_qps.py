@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 
 from ltv_mpc.control.config import Weights
-from ltv_mpc.control.failed_qp import NamedQp, row_names
+from ltv_mpc.control.failed_qp import NamedQp
 from ltv_mpc.control.linearisation import linearise
 from ltv_mpc.control.ocp.assembly import problem_along, scales
 from ltv_mpc.control.problem_data import Constants
-from ltv_mpc.control.solvers.sparse import SparseLayout
 from ltv_mpc.messages import Solve, SolveStatus
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.cli.app import run
@@ -27,10 +26,8 @@ def failure():
     lin = linearise(np.zeros((6, 8)), np.zeros((6, 2)), np.zeros((6, 2)), 0.3, vehicle.coefficients())
     target = np.array([[5.0, 0.0]] * 5 + [[0.0, 0.0]])
     problem = problem_along(lin, target, Constants.of(vehicle, Weights(), np.arange(6.0)))
-    layout = SparseLayout(problem)
-    qp, rows = layout.assemble(layout.filled(problem)), row_names(layout, scales(vehicle))
     solve = Solve(status=SolveStatus.ITERATION_LIMIT, iterations=400, why="slew of port in stage 2 violated by 3 N")
-    return lambda: NamedQp(qp, rows, solve)
+    return lambda: NamedQp.of(problem, scales(vehicle), solve)
 
 
 def shown(writer, t_ns):

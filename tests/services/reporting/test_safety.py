@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import msgspec
+import pytest
 
 from ltv_mpc.messages import FenceReport, FilterStatus, Health, Message
 from services.reporting.safety import Fact, Mood, RunSafety
@@ -37,6 +38,21 @@ def test_what_was_not_nominal_is_counted_with_its_most_frequent_reason() -> None
     assert found["health"].mood is found["filter"].mood is Mood.BAD
     assert found["health"].text == "nominal in 1 of 4 cycles, otherwise most often degraded: estimate too uncertain"
     assert found["filter"].text == "nominal in 1 of 2 reports, otherwise most often inconsistent: adcp"
+
+
+@pytest.mark.parametrize(
+    ("before", "wrong", "after", "mood"),
+    [(0, 1, 99, Mood.NEUTRAL), (50, 1, 49, Mood.NEUTRAL), (0, 2, 98, Mood.BAD), (99, 1, 0, Mood.BAD)],
+)
+def test_it_is_bad_only_at_the_end_or_in_more_than_one_in_a_hundred(
+    before: int, wrong: int, after: int, mood: Mood
+) -> None:
+    nominal, report = synthetic_run.plan(0), synthetic_run.report(0)
+    late = msgspec.structs.replace(nominal, health=Health.HOLD, health_why="no new estimates")
+    unsure = msgspec.structs.replace(report, status=FilterStatus.INCONSISTENT, why="adcp")
+    found = facts(*[nominal] * before, *[late] * wrong, *[nominal] * after)
+    assert found["health"].mood is mood
+    assert facts(*[report] * before, *[unsure] * wrong, *[report] * after)["filter"].mood is mood
 
 
 def test_the_nearest_zone_and_a_hull_in_a_margin_are_named() -> None:

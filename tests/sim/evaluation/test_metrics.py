@@ -88,7 +88,7 @@ def test_errors_are_drift_since_the_descent_began_but_of_places_and_the_absolute
     metrics = RunMetrics(vehicle, in_places=in_places)
     feed(metrics, truth(0, 100.0, 200.0), estimate(0, 110.0, 196.0), plan(0, reference_m=(110.0, 196.0)))
     feed(metrics, truth(S, 100.0, 204.0), estimate(S, 113.0, 200.0))
-    tracking, true, localisation, absolute, true_drift = metrics.track.errors()
+    tracking, true, true_drift, localisation, absolute = metrics.track.errors().values()
     assert tracking.final == pytest.approx(5.0)  # the estimate is (3, 4) off the line
     assert true_drift.final == pytest.approx(4.0)  # the truth has left its own start by (0, 4)
     assert true.final == pytest.approx(np.hypot(-10.0, 8.0) if in_places else 4.0)
@@ -100,7 +100,7 @@ def test_mean_maximum_and_final_are_over_the_estimates_after_zero(metrics: RunMe
     feed(metrics, plan(0, reference_m=(0.0, 0.0)))
     for t_s, north_m in ((-1, 50.0), (0, 0.0), (1, 1.0), (2, 6.0), (3, 2.0)):
         feed(metrics, truth(t_s * S), estimate(t_s * S, north_m, 0.0))
-    tracking = metrics.track.errors().tracking
+    tracking = metrics.track.errors()["tracking_error_m"]
     assert (tracking.mean, tracking.max, tracking.final) == pytest.approx((3.0, 6.0, 2.0))
 
 
@@ -108,19 +108,19 @@ def test_depth_is_in_no_error(metrics: RunMetrics) -> None:
     feed(metrics, plan(0, reference_m=(0.0, 0.0)))
     for t_s in (0, 1):
         feed(metrics, truth(t_s * S, position_m=(0.0, 0.0, 20.0 * t_s)), estimate(t_s * S))
-    assert [error.max for error in metrics.track.errors()] == [0.0] * 5
+    assert [error.max for error in metrics.track.errors().values()] == [0.0] * 5
 
 
 def test_the_truth_at_an_estimates_time_is_interpolated(metrics: RunMetrics) -> None:
     feed(metrics, truth(0), truth(2 * S, 8.0, 0.0), estimate(0), estimate(S))
-    assert metrics.track.errors()[2].final == pytest.approx(4.0)
+    assert metrics.track.errors()["localisation_error_m"].final == pytest.approx(4.0)
 
 
 def test_the_reference_is_that_of_the_newest_plan_and_before_the_first_that_one(metrics: RunMetrics) -> None:
     feed(metrics, plan(-S, reference_m=None), plan(2 * S, reference_m=(1.0, 0.0)), plan(4 * S, reference_m=(5.0, 0.0)))
     for t_s in range(6):
         feed(metrics, truth(t_s * S), estimate(t_s * S))
-    tracking = metrics.track.errors()[0]
+    tracking = metrics.track.errors()["tracking_error_m"]
     assert tracking.mean == pytest.approx((1 + 1 + 1 + 5 + 5) / 5)
 
 
@@ -131,7 +131,7 @@ def test_the_target_of_a_path_moves_evenly_from_plan_to_plan_at_their_first_knot
     feed(metrics, truth(0), estimate(0))
     for t_s, north in ((2, 2.0), (3, 4.0), (4, 6.5)):
         feed(metrics, truth(t_s * S, north, 0.0), estimate(t_s * S, north, 0.0))
-    tracking = metrics.track.errors()[0]
+    tracking = metrics.track.errors()["tracking_error_m"]
     assert tracking.max == pytest.approx(0.5)
     assert tracking.mean == pytest.approx(0.5 / 3)
 
@@ -139,12 +139,12 @@ def test_the_target_of_a_path_moves_evenly_from_plan_to_plan_at_their_first_knot
 def test_without_any_reference_the_line_passes_through_the_estimate_at_zero(metrics: RunMetrics) -> None:
     for t_s in range(3):
         feed(metrics, truth(t_s * S), estimate(t_s * S, 7.0 + t_s, 0.0))
-    assert metrics.track.errors()[0].final == pytest.approx(2.0)
+    assert metrics.track.errors()["tracking_error_m"].final == pytest.approx(2.0)
 
 
 def test_a_run_that_never_left_the_surface_has_no_figures(metrics: RunMetrics) -> None:
     feed(metrics, truth(-S), estimate(-S), applied(-S, 3.0))
-    assert {error.mean for error in metrics.track.errors()} == {None}
+    assert {error.mean for error in metrics.track.errors().values()} == {None}
     assert metrics.commands.thrust().mean_abs_N is None
     assert metrics.delays.end_to_end().median is None
     assert metrics.delays.stages() == {}
