@@ -47,7 +47,7 @@ from sim.evaluation.fence_distances import FenceDistances
 from sim.evaluation.further import Positions
 from sim.evaluation.summary import Quantiles, Spread, Thrust
 
-ZERO = np.zeros(1, dtype=np.int64)
+ZERO = np.zeros(1)
 """Start of the descent (ns), (1,)."""
 
 AT_BOX_N = 1e-6
