@@ -181,7 +181,10 @@ def _entries(feature: Feature, source: str) -> dict[str, list[dict[str, Any]]]:
     if feature.shape.is_empty:
         raise ConfigError(source, f"{at}.coordinates", "are missing")
     properties = {key: feature.properties[key] for key in PROPERTIES if feature.properties.get(key) is not None}
-    parts = shapely.get_parts(shapely.remove_repeated_points(shapely.force_2d(feature.shape))).tolist()
+    try:
+        parts = shapely.get_parts(shapely.remove_repeated_points(shapely.force_2d(feature.shape))).tolist()
+    except shapely.GEOSException:
+        raise ConfigError(source, f"{at}.coordinates", "must have at least 3 different positions in a ring") from None
     if kind == "Point":
         return {zone: [{**properties, "centre": places_of(parts[0])[0]}]}
     if zone == "keep_in":

@@ -211,7 +211,8 @@ def _geojson(text: str, source: str, notes: list[str]) -> Content:
     ((_, properties, shape),) = paths
     heights = len(places_of(shape)) if shape.has_z else 0
     note_unused(source, notes, zones_of_a_fence=len(others), points_beside_it=len(own) - 1, heights=heights)
-    home = config.parse(content["origin"], Origin, source=f"{source}: origin") if "origin" in content else None
+    origin = content.get("origin")
+    home = None if origin is None else config.parse(origin, Origin, source=f"{source}: origin")
     at = ((place["latitude_deg"], place["longitude_deg"]) for place in places_of(shape))
     return home, _path(at, properties.get("speed_mps"))
 

@@ -106,7 +106,7 @@ def _lateral_thruster_warnings(vehicle: Vehicle) -> Iterator[str]:
         if thruster.arm_m == 0.0:
             yield f"[thruster.{name}] arm_m = 0: this thruster makes no yaw moment, only the other one steers"
         elif not low <= thruster.arm_m <= high:
-            fits = f"{low:.2g} to {high:.2g} m fit {vehicle.dry_mass_kg:g} kg and the beam"
+            fits = f"{low:.2g} to {high:.2g} m fit {vehicle.dry_mass_kg:g} kg{' and the beam' if vehicle.hull else ''}"
             yield f"[thruster.{name}] arm_m = {thruster.arm_m:g}: {fits}; is it in m?"
         if thruster.min_N == 0.0:
             yield f"[thruster.{name}] min_N = 0: no thrust astern, so the vehicle cannot brake"

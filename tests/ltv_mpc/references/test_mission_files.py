@@ -85,7 +85,7 @@ def test_a_line_and_a_point_of_geojson_stand_beside_the_zones_of_a_fence(tmp_pat
     path = tmp_path / "m.GEOJSON"
     for content in (
         line_string(speed_mps=0.3),
-        {"type": "FeatureCollection", "features": [zone, line_string(speed_mps=0.3)]},
+        {"type": "FeatureCollection", "features": [zone, line_string(speed_mps=0.3)], "origin": None},
     ):
         path.write_text(json.dumps(content))
         assert_same(references.load(str(path)), expected(0.3))

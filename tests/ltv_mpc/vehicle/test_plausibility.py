@@ -114,6 +114,13 @@ def test_a_wrong_value_of_the_vertical_thruster_alone_is_named(field: str, value
     assert says in sentence
 
 
+def test_the_arm_of_a_vehicle_without_a_hull_is_not_compared_with_a_beam() -> None:
+    port = msgspec.structs.replace(Vehicle.load("paper").thruster.port, arm_m=20.0)
+    thruster = msgspec.structs.replace(Vehicle.load("paper").thruster, port=port)
+    sentences = warnings_of(msgspec.structs.replace(Vehicle.load("paper"), thruster=thruster, hull=None))
+    assert any(" m fit 200 kg; is it in m?" in sentence for sentence in sentences), sentences
+
+
 def test_a_thruster_without_any_delay_gives_a_warning(tmp_path: Path) -> None:
     text = PAPER.replace("lag_s = 0.3 ", "lag_s = 0.0 ").replace("slew_N_per_s = 100.0", "slew_N_per_s = 100000.0")
     (tmp_path / "mine.toml").write_text(text)
