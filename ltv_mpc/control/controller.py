@@ -63,7 +63,6 @@ from ltv_mpc.safety.actuator_check import ActuatorCheck
 from ltv_mpc.safety.command_arbiter import ThrustOverride
 from ltv_mpc.safety.estimate_gate import EstimateGate
 from ltv_mpc.safety.health import NOMINAL, HealthState, plan_end_ns, worst
-from ltv_mpc.safety.motion_fit import MotionFit
 from ltv_mpc.safety.vehicle_file_check import VehicleFileCheck
 from ltv_mpc.vehicle.parameters import Vehicle
 
@@ -109,14 +108,7 @@ class Controller:
         self._prediction = Prediction(vehicle)
         constants = Constants.of(vehicle, weights, config.knots, config.limits.state_bounds)
         constants = constants._replace(p=self._prediction.coefficients)  # one array, with what the observer learns
-        self._estimates = EstimateSelector(vehicle, config.ages)
-        self.estimate_gate: EstimateGate = self._estimates.gate
-        """Plausibility check of the estimates, with the count of rejected ones."""
-        self.vehicle_file_check = VehicleFileCheck()
-        """Check of the vehicle file against what the motion shows."""
-        self._motion_fit = MotionFit(vehicle)  # vehicle, sea and stamps that explain the motion
-        self.actuator_check = ActuatorCheck(vehicle, config.period_ns)
-        """Check of the actuators' reports: whether the motion of the estimates comes from the plans."""
+        self._estimates = EstimateSelector(vehicle, config)
         self.observer = DisturbanceObserver(config.disturbance, vehicle)
         """What the motion has shown of current, estimated point and vehicle."""
         self._vertical = VerticalLaw(vehicle, constants, config.limits)
@@ -132,6 +124,21 @@ class Controller:
     def follower(self) -> Follower:
         """Follower of the reference: its target and the progress along it."""
         return self._followers[-1]
+
+    @property
+    def estimate_gate(self) -> EstimateGate:
+        """Plausibility check of the estimates, with the count of rejected ones."""
+        return self._estimates.gate
+
+    @property
+    def vehicle_file_check(self) -> VehicleFileCheck:
+        """Check of the vehicle file against what the motion shows."""
+        return self._estimates.vehicle_file_check
+
+    @property
+    def actuator_check(self) -> ActuatorCheck:
+        """Check of the actuators' reports against the plans."""
+        return self._estimates.actuator_check
 
     def follow(self, reference: Reference) -> None:
         """Follow another reference from the next cycle on, or from ``resume`` on while the controller is paused.
@@ -248,7 +255,7 @@ class Controller:
         self._delay.add_receipt(applied)
         self._prediction.add_report(applied)
         self.actuator_check.add(applied)
-        self._motion_fit.add_thrust(applied.t_ns, applied.thrust_N)
+        self._estimates.motion_fit.add_thrust(applied.t_ns, applied.thrust_N)
         self.sent_commands.correct(applied.t_ns, applied.command_N)
 
     def add_timing(self, timing: CycleTiming) -> None:
@@ -263,7 +270,6 @@ class Controller:
     def restart_estimates(self) -> None:
         """Begin with another source of estimates: gate, period, checks and current bias are those of one source."""
         self._estimates.restart()
-        self.vehicle_file_check, self._motion_fit = VehicleFileCheck(), MotionFit(self.vehicle)
         self.observer = DisturbanceObserver(self.config.disturbance, self.vehicle)
 
     def predict(self, estimate: Estimate, t_ns: int) -> Array:
@@ -338,7 +344,7 @@ class Controller:
         decision = self._decide(newest, now_ns, override, health)
         delay_ns = self._delay.expected_ns
         start = self._prediction.state_at(decision.estimate, now_ns + delay_ns, self.sent_commands)
-        self._motion_fit.add_thrust(start.t_ns, start.thrust_N, reported=False)
+        self._estimates.motion_fit.add_thrust(start.t_ns, start.thrust_N, reported=False)
         knots = start.t_ns + self._knots_ns
         if self._lateral.fencing.predict_obstacles(start.t_ns):
             self._restrict_paths()
@@ -443,12 +449,14 @@ class Controller:
         if estimate is not None:
             self._vertical.depth_limits.update(estimate)
             if check.learns:
-                self._motion_fit.update(estimate)
+                self._estimates.motion_fit.update(estimate)
             estimate = self.observer.correct(estimate, self._prediction, self.sent_commands, learns=check.learns)
             self._prediction.coefficients[:] = self.observer.coefficients
             self._lateral.held_arm[:] = self.observer.held_arm
             bounded, in_waves = self.observer.is_bounded, self.observer.in_waves
-            self.vehicle_file_check.update(estimate.t_ns, self._motion_fit, bounded=bounded, in_waves=in_waves)
+            self.vehicle_file_check.update(
+                estimate.t_ns, self._estimates.motion_fit, bounded=bounded, in_waves=in_waves
+            )
         own = self._estimates.health(now_ns)
         if estimate is not None and own.health is Health.DEGRADED:
             growth = growth_m(self._prediction, estimate, now_ns, self.sent_commands, self.observer)

@@ -255,7 +255,7 @@ class LateralPlanner:
                 left -= 1
             if left > 0:
                 cycle.lin.X[...], cycle.lin.U[...] = X, U
-                nominal.linearise(cycle.constants, cycle.lin)
+                cycle.linearise(cycle.lin)
         return LateralPlan(X, U, PlanOrigin.SOLVED, solve, "")
 
     def _solve_qp(self, shift: float, *, near: bool, last: bool) -> tuple[Array, Solve]:

@@ -17,6 +17,7 @@ import numpy as np
 
 from ltv_mpc.jit import jit, jit_outlined
 from ltv_mpc.messages import Array
+from ltv_mpc.vehicle.dynamics import coefficients
 from ltv_mpc.vehicle.flow import STATES, advance_stage, lag_table
 from ltv_mpc.vehicle.parameters import Coefficients
 from ltv_mpc.vehicle.sensitivity import SCRATCH, linearise_stage, thrust_gains
@@ -89,7 +90,7 @@ def roll_out(X0: Array, U: Array, C: Array, h: Array, p: Coefficients) -> Array:
 
 
 @jit_outlined
-def linearise_along(lin: Linearisation, t: Array, stage_s: float, p: Coefficients) -> None:
+def linearise_along(lin: Linearisation, t: Array, stage_s: float, flat: Array) -> None:
     """Linearise the flow along a trajectory.
 
     Parameters
@@ -97,9 +98,9 @@ def linearise_along(lin: Linearisation, t: Array, stage_s: float, p: Coefficient
     lin : X, U and C are given; Phi, A, B0 and B1 are overwritten.
     t : (N+1,) knots in first stages.
     stage_s : length of the first stage.
-    p : coefficients of the vehicle.
+    flat : (21,) coefficients of the vehicle.
     """
-    X, U, C = lin.X, lin.U, lin.C
+    X, U, C, p = lin.X, lin.U, lin.C, coefficients(flat)
     h = (t[1] - t[0]) * stage_s
     lag = lag_table(h, p)
     gain = thrust_gains(lag, p)
@@ -131,7 +132,7 @@ def linearise(X: Array, U: Array, C: Array, h: float, p: Coefficients) -> Linear
     """
     lin = Linearisation.empty(len(U) - 1)
     lin.X[...], lin.U[...], lin.C[...] = X, U, C
-    linearise_along(lin, np.arange(float(len(U))), h, p)
+    linearise_along(lin, np.arange(float(len(U))), h, np.array(p))
     return lin
 
 

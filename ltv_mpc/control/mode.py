@@ -24,12 +24,16 @@ from typing import NamedTuple
 
 import msgspec
 
+from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.position_filter import PositionFilter
 from ltv_mpc.messages import Estimate, Health
 from ltv_mpc.references.follower import Follower
+from ltv_mpc.safety.actuator_check import ActuatorCheck
 from ltv_mpc.safety.command_arbiter import ThrustOverride
 from ltv_mpc.safety.estimate_gate import EstimateGate
-from ltv_mpc.safety.health import PREDICTED_TOO_FAR, Ages, HealthState, health, worst
+from ltv_mpc.safety.health import PREDICTED_TOO_FAR, HealthState, health, worst
+from ltv_mpc.safety.motion_fit import MotionFit
+from ltv_mpc.safety.vehicle_file_check import VehicleFileCheck
 from ltv_mpc.vehicle.parameters import Vehicle
 
 NOT_STARTED = "the reference has not started yet"
@@ -79,17 +83,23 @@ class Decision(NamedTuple):
 class EstimateSelector:
     """Selection of the newest plausible estimate, and the health that follows from its age."""
 
-    def __init__(self, vehicle: Vehicle, ages: Ages) -> None:
+    def __init__(self, vehicle: Vehicle, config: ControllerConfig) -> None:
         """Start without an estimate.
 
         Parameters
         ----------
         vehicle : bounds of its motion decide what is plausible.
-        ages : at which health degrades.
+        config : the ages at which health degrades are used.
         """
         self.gate = EstimateGate(vehicle)
         """Plausibility check, with the count of rejected estimates."""
-        self._positions, self._ages = PositionFilter(), ages
+        self.vehicle_file_check = VehicleFileCheck()
+        """Check of the vehicle file against what the motion shows."""
+        self.motion_fit = MotionFit(vehicle)
+        """Vehicle, sea and stamps that explain the motion."""
+        self.actuator_check = ActuatorCheck(vehicle, config.period_ns)
+        """Check of the actuators' reports: whether the motion of the estimates comes from the plans."""
+        self._vehicle, self._positions, self._ages = vehicle, PositionFilter(), config.ages
         self._without = health(age_ns=None, period_ns=0)  # health before the first plausible estimate
         self._uncertain: Estimate | None = None  # the last one from which the prediction grew too uncertain
         self.growth_m = 0.0
@@ -113,6 +123,7 @@ class EstimateSelector:
         """Begin with another source of estimates."""
         self.gate.restart()
         self._positions = PositionFilter()
+        self.vehicle_file_check, self.motion_fit = VehicleFileCheck(), MotionFit(self._vehicle)
 
     def health(self, t_ns: int) -> HealthState:
         """Return the health by the age of the newest plausible estimate, and by ``limit_growth``.

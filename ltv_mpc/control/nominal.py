@@ -24,7 +24,7 @@ import numpy as np
 from ltv_mpc.control import shooting_grid
 from ltv_mpc.control.fence_clearance import fence_cost, is_near
 from ltv_mpc.control.initial_guess import steering_guess
-from ltv_mpc.control.linearisation import Linearisation, linearise_along, propagate
+from ltv_mpc.control.linearisation import Linearisation, propagate
 from ltv_mpc.control.ocp.assembly import cost
 from ltv_mpc.control.ocp.cycle import UNKNOWN, Cycle, Score
 from ltv_mpc.control.ocp.limits import clip_to_limits
@@ -59,18 +59,6 @@ def ramp_to(o: Constants, start: Array, goal: Array, C: Array, X: Array, U: Arra
     copy_to(U[0], start[STATES:])
     clip_to_limits(U, o.t, o.low, o.high, o.max_change)
     propagate(X, U, C, o.t, STAGE_S, coefficients(o.p))
-
-
-@jit
-def linearise(o: Constants, lin: Linearisation) -> None:
-    """Linearise along a trajectory.
-
-    Parameters
-    ----------
-    o : as at the head of this file.
-    lin : has the trajectory, and is overwritten.
-    """
-    linearise_along(lin, o.t, STAGE_S, coefficients(o.p))
 
 
 @jit
@@ -132,7 +120,7 @@ def choose_nominal(cycle: Cycle, start: Array, old: Array, stages: float, *, was
         if other.cost + other.fence + tail * other.tail < before or math.isinf(best.cost):
             kind, best = other_kind, other
             lin.X[...], lin.U[...] = X, U
-    linearise(cycle.constants, lin)
+    cycle.linearise(lin)
     cycle.score = best
     return kind
 
@@ -148,7 +136,7 @@ def any_motion(cycle: Cycle) -> Linearisation:
     lin.C[:] = rng.normal(size=lin.C.shape)
     start, goal = rng.normal(size=len(cycle.start)), rng.normal(size=lin.U.shape)
     ramp_to(cycle.constants, start, goal, lin.C, lin.X, lin.U)
-    linearise(cycle.constants, lin)
+    cycle.linearise(lin)
     return lin
 
 

@@ -107,7 +107,7 @@ class Prediction:
         """Begin without a report of the actuators."""
         self.coefficients = np.array(vehicle.coefficients())
         """(21,) coefficients of the vehicle."""
-        self._shares: Array | None = None  # (3,) of their reported thrust that the thrusters deliver; None: all of it
+        self._shares = np.ones(3)  # of their reported thrust that the thrusters deliver
         self._report: Report | None = None  # the newest that is not newer than the estimate in use
         self._later_reports: deque[Report] = deque(maxlen=MAX_REPORTS)
 
@@ -118,7 +118,7 @@ class Prediction:
         ----------
         shares : of port and starboard; 1 if sound.
         """
-        self._shares = None if shares == (1.0, 1.0) else np.array([*shares, 1.0])
+        self._shares[:2] = shares
 
     def add_report(self, applied: Applied) -> None:
         """Take in the thrusts that the actuators deliver.
@@ -177,7 +177,7 @@ class Prediction:
                 estimate.velocity_down_mps or 0.0,
             )
         )
-        return estimate.t_ns, flat, report.t_ns, self._share_of(report.thrust_N)
+        return estimate.t_ns, flat, report.t_ns, report.thrust_N * self._shares
 
     def delivered(self, commands: SentCommands) -> Commands:
         """Return the commands times the share of them that each thruster delivers.
@@ -187,11 +187,7 @@ class Prediction:
         commands : as sent.
         """
         t, thrust = commands.knots
-        return t, self._share_of(thrust)
-
-    def _share_of(self, thrust: Array) -> Array:
-        """Return the thrusts (..., 3) times the shares; the same array if all are 1."""
-        return thrust if self._shares is None else thrust * self._shares
+        return t, thrust * self._shares
 
 
 def profile_of(estimate: Estimate) -> CurrentProfile:

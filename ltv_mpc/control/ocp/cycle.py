@@ -13,11 +13,11 @@ from typing import NamedTuple
 import numpy as np
 
 from ltv_mpc.control.fence_clearance import Scene
-from ltv_mpc.control.linearisation import Linearisation
+from ltv_mpc.control.linearisation import Linearisation, linearise_along
 from ltv_mpc.control.ocp import assembly, fence, limits
 from ltv_mpc.control.ocp.extension import Extensions, Limit, Term
 from ltv_mpc.control.ocp.problem import Problem, least_surplus
-from ltv_mpc.control.problem_data import CHANGES, COMMANDS, Constants
+from ltv_mpc.control.problem_data import CHANGES, COMMANDS, STAGE_S, Constants
 from ltv_mpc.messages import Array
 
 
@@ -62,6 +62,15 @@ class Cycle:
         """Problem without the rows of the fence."""
         self.fenced: Problem | None = None
         """Problem with these rows; None if there is no fence."""
+
+    def linearise(self, lin: Linearisation) -> None:
+        """Linearise along a trajectory.
+
+        Parameters
+        ----------
+        lin : has the trajectory, and is overwritten.
+        """
+        linearise_along(lin, self.constants.t, STAGE_S, self.constants.p)
 
     def set_fence_rows(self, rows: int) -> bool:
         """Set how many rows of a knot are those of fence and corridor, and return True if the number has changed.

@@ -41,6 +41,8 @@ class Marks:
         self.marks: list[Mark] = []
         self.omitted = 0
         self._states = {"health": Health.NOMINAL.value, "filter": FilterStatus.NOMINAL.value}
+        self.since_s: dict[str, float] = {}
+        """Time at which health, authority and others took their newest value."""
         self._epochs: dict[str, int] = {}
         self._commands: dict[int, tuple[Command, int]] = {}  # with the epoch of the sender, by identifier
         self._simulator: int | None = None  # epoch of the simulated vehicle
@@ -76,9 +78,10 @@ class Marks:
 
     def _add_state(self, t_ns: int, node: str, what: str, state: str, why: str = "") -> None:
         """Add a mark if the state has changed; a first state is one only of health or filter that is not nominal."""
-        if self._states.get(what, state) != state:
-            self._append(t_ns, node, with_reason(f"{what}: {state}", why))
-        self._states[what] = state
+        if self._states.get(what) != state:
+            if what in self._states:
+                self._append(t_ns, node, with_reason(f"{what}: {state}", why))
+            self._states[what], self.since_s[what] = state, self._seconds(t_ns)
 
     def _add_acknowledgement(self, answer: Acknowledgement) -> None:
         command, epoch = self._commands.pop(answer.command_id, (None, None))

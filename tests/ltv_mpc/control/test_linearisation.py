@@ -61,7 +61,7 @@ def test_along_a_roll_out_there_is_no_gap():
     lin = Linearisation.empty(N)
     lin.X[0], lin.U[...], lin.C[...] = X[0], U, C
     propagate(lin.X, U, C, knots, 0.3, P)
-    linearise_along(lin, knots, 0.3, P)
+    linearise_along(lin, knots, 0.3, np.array(P))
     np.testing.assert_array_equal(lin.X[1:], lin.Phi)
 
 

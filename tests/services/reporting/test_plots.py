@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc.messages import Array, Estimate, PlanOrigin
+from ltv_mpc.messages import Array, Estimate, Health, PlanOrigin
 from ltv_mpc.vehicle.propulsion import propulsive_power_W
 from services.bus.wire import Header
 from services.recording.node_settings import vehicle_of
@@ -182,7 +182,7 @@ def test_events_and_changes_are_marks() -> None:
             synthetic_run.ARM,
             synthetic_run.ARMED,
             synthetic_run.EVENT,
-            synthetic_run.plan(0),
+            msgspec.structs.replace(synthetic_run.plan(0), health=Health.DEGRADED, health_why="leak"),
             synthetic_run.plan(S, origin=PlanOrigin.SHIFTED),
         ),
         *(synthetic_run.plan(2 * S, origin=PlanOrigin.SHIFTED), synthetic_run.plan(3 * S), status("plant")),
@@ -192,6 +192,8 @@ def test_events_and_changes_are_marks() -> None:
     assert [(mark.t_s, mark.node, mark.text) for mark in collector.marks.marks] == [
         (0.0, "controller", "arm accepted"),
         (5.0, "plant", synthetic_run.EVENT.text),
+        (0.0, "controller", "health: degraded: leak"),
+        (1.0, "controller", "health: nominal"),
         (1.0, "controller", "plan origin: shifted: OSQP: iteration limit"),
         (3.0, "controller", "plan origin: solved"),
         (3.0, "plant", "restarted"),
