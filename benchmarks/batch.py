@@ -14,6 +14,7 @@ import numpy as np
 from services.reporting.terminal import progress_bar
 from services.run.run_config import Override, RunConfig, resolve
 from services.tools import lockstep_run
+from services.tools.batch import executor
 from services.tools.batch.executor import run_each
 from services.tools.batch.results_store import ResultsStore
 from sim.evaluation.summary import Summary
@@ -39,12 +40,8 @@ class Job(NamedTuple):
 
 def in_order(work: Callable[[T], R], jobs: Sequence[T], *, workers: int | None = None) -> list[R]:
     """Do all jobs, on so many processes (None: one a core); return their results in the order of the jobs."""
-    found: dict[int, R] = {}
     with progress_bar(f"{len(jobs)} runs") as progress:
-        for place, result in run_each(work, jobs, workers=workers):
-            found[place] = result
-            progress(len(found) / len(jobs))
-    return [found[place] for place in range(len(jobs))]
+        return executor.in_order(work, jobs, workers=workers, progress=progress)
 
 
 def keep_each(

@@ -27,11 +27,9 @@ from benchmarks.faults import lockstep as fault_runs
 from benchmarks.faults.draw import Run
 from benchmarks.faults.kinds import Fault, Place
 from ltv_mpc.messages import Applied, Estimate, Message, Plan
-from ltv_mpc.node import ReceivedMessage
 from services.run.nodes import make_nodes
 from services.run.run_config import Override, resolve
 from services.tools import lockstep_run
-from sim.scheduler import LockStep, Observation
 
 DURATION_S = 40.0
 FAULT_S = (20.0, 26.0)
@@ -74,14 +72,10 @@ FAULTS = (
 
 
 class Collector:
-    """An observer of lock step that keeps the numbers of three types of message."""
+    """The numbers of three types of message, in the order of their arrival."""
 
     def __init__(self) -> None:
         self._rows: dict[str, list[tuple[int, np.ndarray]]] = {"estimate": [], "plan": [], "applied": []}
-
-    def published(self, node: str, message: ReceivedMessage) -> None:  # noqa: ARG002
-        """Keep the message's numbers."""
-        self.take(message.message)
 
     def take(self, signal: Message) -> None:
         """Keep the numbers of an estimate, a plan or a report of the actuators."""
@@ -118,14 +112,7 @@ def plain(scenario: str, *settings: str) -> Values:
     """Run a scenario with these settings, for ``DURATION_S`` if they name no other duration."""
     of = resolve(scenario, [Override("fingerprint", [f"run.duration_s={DURATION_S}", "run.seed=5", *settings])])
     collector = Collector()
-    LockStep(
-        make_nodes(of),
-        start_ns=of.scenario.start_ns,
-        compute_delay_ns=round(of.scenario.run.compute_delay_s * 1e9),
-        observation=Observation(collector),
-        latest=lockstep_run.LATEST,
-        make_rejection=lockstep_run.rejected_message,
-    ).advance(of.scenario.end_ns)
+    lockstep_run.simulate(of, nodes=make_nodes(of), keep=collector.take)
     return collector.values()
 
 

@@ -59,6 +59,11 @@ def format_value(value: object) -> str:
     return text if len(text) <= MAX_VALUE_LENGTH else f"{text[: MAX_VALUE_LENGTH - 3]}..."
 
 
+def with_reason(state: str, why: str) -> str:
+    """Return a state with its reason, if there is one: "degraded: leak"."""
+    return f"{state}: {why}" if why else state
+
+
 def one_line(text: str) -> str:
     """Escape line breaks and control characters in text from outside, such as names of files and keys."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)

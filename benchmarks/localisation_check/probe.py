@@ -22,12 +22,11 @@ from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter, Inn
 from ltv_mpc.localisation.filter.state import VELOCITY, Belief, grid
 from ltv_mpc.localisation.sensors.adcp import beam_directions
 from ltv_mpc.messages import AdcpPing, Array, Estimate, Message, Truth
-from ltv_mpc.node import Inbox, Node, ReceivedMessage
+from ltv_mpc.node import Inbox, Node
 from services.run.nodes import make_nodes
 from services.run.run_config import RunConfig
 from services.tools import lockstep_run
 from sim.evaluation.cramer_rao_bound import Trajectory, bound
-from sim.scheduler import LockStep, Observation
 from sim.sensors.adcp import Profiler
 from sim.sensors.compass import MagneticCompass
 from sim.sensors.imu import InertialUnit
@@ -220,8 +219,6 @@ class ErrorLog:
 class Probe:
     """Observer of a run: it compares the estimator with the truth. The run is not affected."""
 
-    message_types: frozenset[type[Message]] = frozenset({Truth, AdcpPing, Estimate})
-
     def __init__(self, run_config: RunConfig) -> None:
         """Set up the nodes of a run. Raises ``ConfigError``."""
         self._run_config = run_config
@@ -245,14 +242,7 @@ class Probe:
 
     def descend(self) -> None:
         """Run the whole descent."""
-        scenario = self._run_config.scenario
-        LockStep(
-            self._nodes,
-            start_ns=scenario.start_ns,
-            compute_delay_ns=round(scenario.run.compute_delay_s * 1e9),
-            observation=Observation(self, types=self.message_types),
-            latest=lockstep_run.LATEST,
-        ).advance(scenario.end_ns)
+        lockstep_run.simulate(self._run_config, nodes=self._nodes, keep=self._observe)
 
     def _copy_belief(self, t_ns: int, output: Sequence[Message]) -> None:
         """Observe the current filter, and copy its belief at whole seconds.
@@ -268,9 +258,8 @@ class Probe:
         if published and filter_ is not None and filter_.belief.t_ns == t_ns >= 0:
             self._beliefs[t_ns] = filter_.propagated_belief()
 
-    def published(self, node: str, message: ReceivedMessage) -> None:  # noqa: ARG002  (the type implies the node)
-        """Receive a published message."""
-        match message.message:
+    def _observe(self, message: Message) -> None:
+        match message:
             case Truth() as truth:
                 self.truth = truth
                 if truth.t_ns % TRACK_NS == 0:

@@ -28,7 +28,7 @@ import numpy as np
 
 from ltv_mpc.control import nominal
 from ltv_mpc.control.config import STAGE_NS, ResolvedConfig
-from ltv_mpc.control.disturbance import REST_M, heading_free
+from ltv_mpc.control.disturbance import heading_free_mps
 from ltv_mpc.control.fallback import Fallback, LateralPlan, PreviousPlan
 from ltv_mpc.control.fencing import Fencing
 from ltv_mpc.control.linearisation import describe_non_finite
@@ -53,9 +53,10 @@ BINDING = 1e-3
 MAX_WHY_CHARS = 200
 """Longest text of an exception in a plan."""
 
-RESTING_MPS, RESTLESS = 0.01, 2.5
-"""Sinking speed up to which a vehicle rests, and how soon a current that gives the heading ends that: the square of its
-speed, in units of ``heading_free``, times this.
+REST_M, RESTING_MPS, RESTLESS = 0.09, 0.01, 2.0
+"""Distance from a point within which a vehicle rests in still water (m): closer, the error of its arm would make it
+drive to and fro. Sinking speed up to which it rests (m/s), and how soon a current that gives the heading ends that: the
+square of its speed, over ``heading_free_mps``, times this.
 """
 
 
@@ -76,7 +77,7 @@ class LateralPlanner:
         Parameters
         ----------
         vehicle, config : as ``make_solver`` takes them.
-        constants : of the controller; its coefficients may change.
+        constants : of the controller; its coefficients and arm may change.
         make_solver : called now, and again after a solve that failed.
         stopwatch : is called with a stage's name when that stage of a cycle ends.
         terms : of a user, beside those of ``ocp/``.
@@ -99,6 +100,11 @@ class LateralPlanner:
     def target(self) -> Array:
         """Target at the knots (``ocp/terms.py``)."""
         return self._cycle.target
+
+    @property
+    def held_arm(self) -> Array:
+        """Arm (2,) to the point that is held (``ocp/terms.py``)."""
+        return self._cycle.constants.arm
 
     def set_current(self, estimate: Estimate, depth_m: Array) -> None:
         """Set the current along the horizon.
@@ -134,11 +140,11 @@ class LateralPlanner:
         plan = self.previous.plan
         if abs(start.sinking_mps) < RESTING_MPS and self._config.weights.heading_per_rad2 == 0.0:
             current_mps = math.hypot(start.current_north_mps, start.current_east_mps)
-            radius_m = max(radius_m, REST_M / (1.0 + RESTLESS * (current_mps / heading_free(self._vehicle)[0]) ** 2))
+            radius_m = max(radius_m, REST_M / (1.0 + RESTLESS * (current_mps / heading_free_mps(self._vehicle)) ** 2))
         if radius_m == 0.0 or plan is None:
             return
         stages = (start.t_ns - int(plan.t_ns[0])) / STAGE_NS
-        bring_within(plan.states, stages, self._cycle.constants.t, start.lateral, radius_m, self.target)
+        bring_within(plan.states, stages, self._cycle.constants, start.lateral, radius_m, self.target)
 
     def ramp(self, start: Start, why: str, goal: Array | None = None) -> LateralPlan:
         """Ramp the lateral thrusters to a goal at their slew limits.
@@ -175,9 +181,9 @@ class LateralPlanner:
             self._repack()
 
     def _repack(self) -> None:
-        config, learned = self._config, self._cycle.constants.p
+        config, learned = self._config, self._cycle.constants
         of = Constants.of(self._weakened_vehicle(), config.weights, config.knots, config.limits.state_bounds)
-        self._cycle.constants = of._replace(p=learned)
+        self._cycle.constants = of._replace(p=learned.p, arm=learned.arm)
         self.discard_solvers()
 
     def stop(self, start: Start, why: str) -> LateralPlan:

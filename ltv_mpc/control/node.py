@@ -238,8 +238,8 @@ class ControllerNode:
             "commands": self.controller.actuator_check.health,
             "clock": self._health_of_clock(t_ns),
             "obstacles": self._commands.fence.health,
-            "vehicle file": self.controller.vehicle_file_check.health,
             "source": worst(self.sources.health(t_ns), self._health_of_report_source(t_ns)),
+            "vehicle file": self.controller.vehicle_file_check.health,  # stands for minutes, and hides nothing new
             "thrusters": self._health_of_thrusters(),
         }
 

@@ -6,6 +6,7 @@ is the distance between its boundary and the hull that is kept free.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,13 +14,14 @@ from typing import Annotated
 
 import msgspec
 import numpy as np
+import pymap3d
 from msgspec import Meta
 
 from ltv_mpc import config
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Array, ZoneInForce
 from ltv_mpc.references.base import BaseReference
-from ltv_mpc.references.geodesy import Origin, Place, local, origin_distance_m
+from ltv_mpc.references.geodesy import Origin, Place, local
 from ltv_mpc.validation import MAX_VERTICES
 from ltv_mpc.vehicle.parameters import Vehicle
 
@@ -90,9 +92,7 @@ class Fence(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         if path.lower().endswith(GEOJSON):
             return cls.from_geojson(config.read_text(Path(path), what="fence"), source, notes)
         table = fence_files.read(Path(path), source, [] if notes is None else notes, origin)
-        if table is None:
-            table = config.read_toml(Path(path), what="fence")
-        return config.parse(table, cls, source=source)
+        return config.parse(table or config.read_toml(Path(path), what="fence"), cls, source=source)
 
     @classmethod
     def from_geojson(cls, text: str, source: str = "fence", notes: list[str] | None = None) -> Fence:
@@ -222,7 +222,8 @@ def compare_origins(fence: Fence | None, reference: BaseReference, *, source: st
     own, other = None if fence is None else fence.origin, reference.origin
     if own is None or other is None:
         return
-    distance_m = origin_distance_m(own, other)
+    places = ((of.latitude_deg, of.longitude_deg, 0.0) for of in (own, other))
+    distance_m = math.dist(*(pymap3d.geodetic2ecef(*place) for place in places))  # through the Earth
     if distance_m > MAX_ORIGIN_DISTANCE_M:
         problem = (
             f"latitude {own.latitude_deg:.6f}, longitude {own.longitude_deg:.6f} is {distance_m:,.1f} m away from the "

@@ -141,7 +141,10 @@ def zones_of(items: Iterable[Item], source: str) -> dict[str, Any]:
             raise ConfigError(source, where, "is no part of a fence")
         if command in (KEEP_IN, CIRCLE_IN):
             corners = places if command == KEEP_IN else _corners(places[0], size)
-            polygon = shapely.Polygon([(at["longitude_deg"], at["latitude_deg"]) for at in corners])
+            try:
+                polygon = shapely.Polygon([(at["longitude_deg"], at["latitude_deg"]) for at in corners])
+            except (ValueError, shapely.GEOSException) as error:  # not finite, or fewer than 3
+                raise ConfigError(source, where, f"is no polygon: {error}") from None
             groups.setdefault((int(group), 0 if group else len(groups)), []).append(polygon)
         elif command == KEEP_OUT:
             table.setdefault("keep_out", []).append({"vertices": places})

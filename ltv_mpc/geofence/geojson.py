@@ -83,14 +83,9 @@ def parse(content_text: str | bytes, source: str, notes: list[str]) -> tuple[dic
 class Feature(NamedTuple):
     """Feature of GeoJSON, or a geometry alone."""
 
-    number: int
+    where: str  # names it in errors
     properties: dict[str, Any]
     shape: Any  # shapely geometry: longitude and latitude (degrees), perhaps heights
-
-    @property
-    def where(self) -> str:
-        """Name of the feature in errors."""
-        return f"features[{self.number}]"
 
     @property
     def is_reference(self) -> bool:
@@ -129,7 +124,7 @@ def features_of(text: str | bytes, source: str, notes: list[str]) -> tuple[dict[
         except shapely.GEOSException as error:
             reason = str(error).partition(": ")[2]  # behind the name of an exception of GEOS
             raise ConfigError(source, f"{where}.geometry", f"is no geometry of GeoJSON: {reason}") from None
-        features.append(Feature(k, properties, shape))
+        features.append(Feature(where, properties, shape))
     return content, features
 
 

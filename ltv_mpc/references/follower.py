@@ -144,7 +144,8 @@ class Follower:
         self._tau_s = 0.0
         self._rate = 1.0
         self._t_ns = 0
-        self._progress = NO_PROGRESS
+        self.progress = NO_PROGRESS
+        """Progress along a path; ``NO_PROGRESS`` for a point, and before the reference starts."""
 
     @property
     def is_path(self) -> bool:
@@ -165,11 +166,6 @@ class Follower:
     def start_distance_m(self) -> float | None:
         """Distance from the vehicle to the reference when it started (m); None before."""
         return None if self._track is None else self._track.schedule.lead_m
-
-    @property
-    def progress(self) -> Progress:
-        """Progress along a path; ``NO_PROGRESS`` for a point, and before the reference starts."""
-        return self._progress
 
     def begin(self, estimate: Estimate) -> bool:
         """Return True if the reference is in force. It starts at the first finite estimate after its start time.
@@ -302,7 +298,7 @@ class Follower:
         done = min(max(way - lead_m, 0.0), length_m)
         known = None if math.isnan(cross) else cross  # NaN: the estimate is not finite
         share = done / length_m if length_m > 0.0 else 1.0  # a timed track may have no length
-        self._progress = Progress(share, known, length_m - done)
+        self.progress = Progress(share, known, length_m - done)
 
     def _speed_in(self, current: Pair) -> float:
         """Return the largest speed S through the water (m/s) in a current, by the equation above."""

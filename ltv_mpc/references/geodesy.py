@@ -78,17 +78,6 @@ def local(place: Place, origin: Origin | None) -> Pair:
     return north, east
 
 
-def origin_distance_m(first: Origin, second: Origin) -> float:
-    """Return the distance between two origins (m), straight through the Earth.
-
-    Parameters
-    ----------
-    first, second : origins on the ellipsoid.
-    """
-    one, other = ((of.latitude_deg, of.longitude_deg, 0.0) for of in (first, second))
-    return math.hypot(*pymap3d.geodetic2ned(*one, *other))
-
-
 def tangent_plane(latitude_deg: float, longitude_deg: float, origin: Origin) -> Pair:
     """Return north and east (m) in the tangent plane of a point on the ellipsoid.
 

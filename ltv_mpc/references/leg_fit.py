@@ -116,8 +116,7 @@ def _curved(p: Array, corner_m: float) -> tuple[Array, Numbers, float]:
     aside, off = np.zeros(K), np.zeros(K)
     cross = legs[:-1, 0] * legs[1:, 1] - legs[:-1, 1] * legs[1:, 0]
     aside[1:-1] = np.abs(cross) / np.where(longer > 0.0, longer, 1.0)
-    if K > 4:
-        off[2:-2] = np.hypot(*np.diff(legs, 3, axis=0).T) / 6.0  # from the cubic through the four neighbours
+    off[2:-2] = np.hypot(*np.diff(legs, 3, axis=0).T) / 6.0  # from the cubic through the four neighbours
     even = off <= EVEN * np.max([np.roll(aside, shift) for shift in (-1, 0, 1)], axis=0)
     even[1:-1] &= longer < SAME_STEP * shorter
     even[1:-1] &= (legs[1:] * legs[:-1]).sum(axis=1) > LEAST_COSINE * shorter * longer

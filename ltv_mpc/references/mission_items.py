@@ -118,11 +118,10 @@ def stops_of(
     dives : the vehicle follows depths.
     first : place of the first item that is driven among the items.
     """
-    writer, default_mps, jumps = _Writer(origin, speed_mps, here), speed_mps, Counter[int]()
+    writer, jumps = _Writer(origin, speed_mps, here, dives), Counter[int]()
     place_of = {item.number: k for k, item in enumerate(items)}
     for item in items[1:first]:
-        if item.command == CHANGE_SPEED:
-            writer.change_speed(item, default_mps)
+        writer.change_speed(item)
     at, steps = max(first, 1), 0
     while at < len(items):
         item, at, steps = items[at], at + 1, steps + 1
@@ -132,13 +131,11 @@ def stops_of(
             jumps[item.number] += 1
             at = place_of[int(item.parameters[0])] if jumps[item.number] <= item.parameters[1] else at
         elif item.command == CHANGE_SPEED:
-            writer.change_speed(item, default_mps)
+            writer.change_speed(item)
         elif item.command == DELAY:
             writer.wait(item, item.parameters[0])
-        elif item.command == RETURN:
-            writer.go_back(item, items[0])
         else:
-            writer.drive(item, dives=dives)
+            writer.drive(item, items[0] if item.command == RETURN else item)
         if item.command in LAST:
             break
     return writer.stops if any(stop.number for stop in writer.stops) else []
@@ -170,22 +167,22 @@ def reference_table(stops: Sequence[Stop], origin: Origin, here: Pair | None = N
 class _Writer:
     """Waypoints of a mission, written item by item."""
 
-    def __init__(self, origin: Origin, speed_mps: float, here: Pair | None) -> None:
+    def __init__(self, origin: Origin, speed_mps: float, here: Pair | None, dives: bool) -> None:
         self.stops: list[Stop] = []
-        self.speed_mps = speed_mps
-        self._origin = origin
+        self._origin, self._dives = origin, dives
+        self._speed_mps = self._default_mps = speed_mps
         self._begin = None if here is None else _at(*here, None)
 
-    def change_speed(self, item: Item, default_mps: float) -> None:
+    def change_speed(self, item: Item) -> None:
         """Set the speed from here on: that of the item, for -1 the one before it, for -2 that of the settings.
 
         Parameters
         ----------
-        item : changes the speed.
-        default_mps : speed of the settings (m/s).
+        item : changes the speed; another one does not.
         """
         speed = item.parameters[1]
-        self.speed_mps = speed if speed > 0.0 else self.speed_mps if speed == -1.0 else default_mps
+        if item.command == CHANGE_SPEED and speed != -1.0:
+            self._speed_mps = speed if speed > 0.0 else self._default_mps
 
     def wait(self, item: Item, wait_s: float) -> None:
         """Wait at the newest place, or where the vehicle is.
@@ -200,16 +197,18 @@ class _Writer:
         number, place, speed_mps = self.stops[-1]
         self.stops[-1] = Stop(number, structs.replace(place, wait_s=place.wait_s + wait_s), speed_mps)
 
-    def drive(self, item: Item, *, dives: bool) -> None:
+    def drive(self, item: Item, of: Item) -> None:
         """Write an item with a place.
 
         Parameters
         ----------
         item : without coordinates it is at the newest place.
-        dives : the vehicle follows depths.
+        of : has the place: the item, or home, to which it goes back at the depth of the newest place.
         """
-        depth_m = abs(item.altitude_m) if dives else None
-        here = self._place(item, item) if item.has_place else self._last(item)
+        here = self._place(item, of) if of.has_place else self._last(item)
+        depth_m = abs(item.altitude_m) if self._dives else None
+        if item.command == RETURN:
+            depth_m = self.stops[-1].place.depth_m if self.stops else None
         place = structs.replace(here, depth_m=depth_m, wait_s=0.0)
         if item.command == LOITER_TURNS:
             self._circle(item, place)
@@ -219,17 +218,6 @@ class _Writer:
             self._add(item.number, structs.replace(place, depth_m=0.0))
         if item.command in TIMED and item.parameters[0] > 0.0:
             self.wait(item, item.parameters[0])
-
-    def go_back(self, item: Item, home: Item) -> None:
-        """Write the way home at the depth of the newest place.
-
-        Parameters
-        ----------
-        item : asks for the way.
-        home : item 0.
-        """
-        depth_m = self.stops[-1].place.depth_m if self.stops else None
-        self._add(item.number, structs.replace(self._place(item, home), depth_m=depth_m))
 
     def _circle(self, item: Item, centre: Waypoint) -> None:
         """Add a circle, clockwise if its radius is positive, from the side at which the vehicle comes."""
@@ -262,7 +250,7 @@ class _Writer:
         return last
 
     def _add(self, number: int, place: Waypoint) -> None:
-        self.stops.append(Stop(number, place, self.speed_mps))
+        self.stops.append(Stop(number, place, self._speed_mps))
 
 
 def _at(north_m: float, east_m: float, depth_m: float | None) -> Waypoint:

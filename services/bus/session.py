@@ -15,7 +15,8 @@
 - No session accepts a message larger than ``MAX_MESSAGE_BYTES``. Zenoh drops larger ones without a report, so this
   limit is above that of the message validation, which counts.
 - Without certificates Zenoh's tasks share one thread. By default each kind of task has threads of its own, and each
-  message wakes several of them, which took half as much processor time again (docs/notes/processor-time.md). With
+  message wakes several of them, which took half as much processor time again (docs/notes/processor-time.md). A router
+  has three: while it closes the link of a reader that is stuck with a full queue, it blocks one for up to 10 s. With
   certificates they keep their threads: a router logs each decision of its access control, and an intruder's many
   attempts would block the links of all others. $ZENOH_RUNTIME is kept if set.
 - With certificates every link uses mutual TLS, and a listening session denies what no role allows.
@@ -51,7 +52,7 @@ RUNTIME = "ZENOH_RUNTIME"
 """Environment variable of Zenoh's threads, which Zenoh reads when the first session opens."""
 
 _ELSEWHERE = ", ".join(f"{kind}: (handover: app)" for kind in ("acc", "net", "rx", "tx"))
-ONE_THREAD = f"({_ELSEWHERE}, app: (worker_threads: 1))"
+THREADS, ROUTER_THREADS = (f"({_ELSEWHERE}, app: (worker_threads: {count}))" for count in (1, 3))
 
 EXPLANATIONS = (
     ("Address already in use", "the address is in use: stop the process that listens there, or choose another port"),
@@ -266,7 +267,7 @@ def open_session(options: BusOptions, *, stop: Callable[[], bool], say: Callable
     """
     config = configuration(options)
     if options.certs is None:
-        os.environ.setdefault(RUNTIME, ONE_THREAD)
+        os.environ.setdefault(RUNTIME, ROUTER_THREADS if options.acts_as == "router" else THREADS)
     result: list[zenoh.Session | BaseException] = []
 
     def attempt() -> None:

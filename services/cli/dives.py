@@ -118,7 +118,7 @@ def localise(
         raise
     show(outcome.result, lambda: text.text(outcome.result), as_json=as_json)
     if written is not None:
-        if note := dive.write(outcome, written):
-            typer.echo(note, err=True)
+        with plots_or_a_line("no plots"):
+            dive.write(outcome, written)
         typer.echo(str(written), err=as_json)
     return 0

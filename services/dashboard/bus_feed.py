@@ -68,6 +68,7 @@ class PageStatus(msgspec.Struct, frozen=True, kw_only=True):
     speed: float  # of the clock, times real time
     requested_speed: float  # larger than ``speed`` if the machine cannot keep it
     plan: dict[str, Any]  # ``OF_PLAN`` of the newest one; empty if there is none
+    health_s: float | None  # since which time, from ``t_s``'s zero; None: unknown
     controller: dict[str, Any]  # ``OF_CONTROLLER`` of its newest status; empty if there is none
     error_m: float | None  # estimate from the reference
     true_error_m: float | None  # vehicle from the reference, since the start; None without a known truth
@@ -154,6 +155,7 @@ class BusFeed:
             speed=1.0 if clock is None else clock.speed_num / clock.speed_den,
             requested_speed=1.0 if clock is None else clock.requested_speed,
             plan={} if plan is None else {name: getattr(plan, name) for name in OF_PLAN},
+            health_s=self.collector.marks.since_s.get("health"),
             controller={} if controller is None else {name: getattr(controller, name) for name in OF_CONTROLLER},
             error_m=self.collector.error_m,
             true_error_m=self.collector.true_error_m,

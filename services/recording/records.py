@@ -49,7 +49,6 @@ FOREIGN = (
 
 _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
-CUT = "cut in the head of a record"
 
 NAMES = {int(opcode): opcode.name.lower().replace("_", " ") for opcode in Opcode}
 KINDS: dict[int, type[Channel | Schema | Metadata]] = {
@@ -145,7 +144,8 @@ class Records:
                     file.seek(start)
                     continue
                 if head:
-                    self._lose(start, self.size - start, f"cut in a record of {length} bytes" if length else CUT)
+                    what = f"a record of {length} bytes" if length else "the head of a record"
+                    self._lose(start, self.size - start, f"cut in {what}")
                 return
             content = file.read(length)
             if opcode == Opcode.FOOTER:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,17 +12,22 @@ from services.reporting.assessment import assessment
 
 WIDTH = 80
 
+DRIFT = "since t = 0"
+"""What an error of the vehicle is without the error of the fix at t = 0."""
+
 MIN_SPEED_RATIO = 0.95
 """Ratio of reached to requested speed below which the summary names the reached speed."""
 
 
 def verdict(summary: Mapping[str, Any], folder: Path, next_commands: Sequence[str] = ()) -> str:
     """Format the summary, without a line break at the end. Lock step has no rows for what only processes show."""
+    in_places = summary.get("in_places")
     rows = [
         ("run", f"{summary['scenario']}, {summary['duration_s']:.1f} s {how(summary)}, seed {summary['seed']}"),
         ("horizon", f"{summary['horizon_s']:.1f} s in {summary['stages']} stages"),
         ("tracking", _error(summary["tracking_error_m"], "estimate from the reference")),
-        *_true_errors(summary),
+        ("true error", _error(summary["true_error_m"], f"vehicle from it, {'absolute' if in_places else DRIFT}")),
+        *([("of it drift", _error(summary["true_error_drift_m"], f"vehicle from it, {DRIFT}"))] if in_places else []),
         ("localisation", _error(summary["localisation_error_m"], "estimate from the vehicle")),
         ("thrust", _thrust(summary["thrust"])),
         ("energy", _energy(summary["thrust"])),
@@ -60,16 +65,6 @@ def how(summary: Mapping[str, Any]) -> str:
         return "as processes"
     short = reached is not None and reached < MIN_SPEED_RATIO * asked
     return f"as processes at {f'{reached:.1f} of ' if short else ''}{asked:g} x real time"
-
-
-def _true_errors(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Yield the error of the vehicle and what it is; of a reference in places also without the error of the fix."""
-    drift = "vehicle from it, since t = 0"
-    if summary.get("in_places"):
-        yield "true error", _error(summary["true_error_m"], "vehicle from it, absolute")
-        yield "of it drift", _error(summary["true_error_drift_m"], drift)
-    else:
-        yield "true error", _error(summary["true_error_m"], drift)
 
 
 def _error(spread: Mapping[str, float | None], meaning: str) -> str:

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 
 import msgspec
 
+from ltv_mpc.errors import with_reason
 from ltv_mpc.messages import FilterStatus, Health, LocalisationReport, Message, NodeStatus, Plan
 from services.supervisor.screen import in_order
 
@@ -59,12 +60,12 @@ class RunSafety:
         """Count a message; ``epoch`` is the one of its sender."""
         match message:
             case Plan():
-                self._health.append(_with_reason(message.health.value, message.health_why))
+                self._health.append(with_reason(message.health.value, message.health_why))
                 self._authority[message.authority.value] += 1
                 self._origin[message.origin.value] += 1
                 self._add_fence(message)
             case LocalisationReport():
-                self._filter.append(_with_reason(message.status.value, message.why))
+                self._filter.append(with_reason(message.status.value, message.why))
             case NodeStatus():
                 self._add_status(message, epoch)
 
@@ -120,10 +121,6 @@ def process_state(status: NodeStatus) -> str:
     if status.finished:
         return "finished"
     return f"waits for {status.waiting_for}" if status.waiting_for else "running"
-
-
-def _with_reason(value: str, why: str) -> str:
-    return f"{value}: {why}" if why else value
 
 
 def _shares(counts: Mapping[str, int]) -> str:

@@ -198,9 +198,10 @@ def _progress(view: LiveView) -> str:
 
 def _motion(view: LiveView, collector: Collector) -> list[str]:
     """Return where the vehicle is by its estimate, how far from the reference, and who controls it in which health."""
-    estimate, controller = view.estimate, view.controller
+    estimate, controller, since_s = view.estimate, view.controller, collector.marks.since_s.get("health")
+    lasts = "" if since_s is None else f", {max(collector.seconds(view.t_ns) - since_s, 0.0):.0f} s"
     if estimate is None:
-        return ["motion  no estimate yet", "error   -", f"control {_control(controller)}"]
+        return ["motion  no estimate yet", "error   -", *_control(controller, lasts)]
     depth = "" if estimate.depth_m is None else f"depth {round(estimate.depth_m, 2) + 0.0:.2f} m   "
     speed_mps = math.hypot(estimate.velocity_north_mps, estimate.velocity_east_mps)
     words = f"{depth}heading {round(math.degrees(estimate.heading_rad)) % 360} deg   speed {speed_mps:.3f} m/s"
@@ -212,15 +213,15 @@ def _motion(view: LiveView, collector: Collector) -> list[str]:
     if view.truth is not None:
         vehicle = f"vehicle {'' if collector.since else 'from the reference '}"  # 80 columns
         error += f"   {vehicle}{_metres(collector.true_error_m)} {collector.since}".rstrip()
-    return [f"motion  {words}", f"error   {error}", f"control {_control(controller)}"]
+    return [f"motion  {words}", f"error   {error}", *_control(controller, lasts)]
 
 
-def _control(controller: ControllerStatus | None) -> str:
+def _control(controller: ControllerStatus | None, lasts: str) -> list[str]:
     if controller is None:
-        return "no status of a controller yet"
-    why = f" ({controller.health_why})" if controller.health_why else ""
-    progress = "" if controller.progress is None else f"   progress {100 * controller.progress:.0f} %"
-    return f"{controller.authority}   {controller.health}{why}{'   arrived' if controller.arrived else progress}"
+        return ["control no status of a controller yet"]
+    way = "" if controller.progress is None else f"   progress {100 * controller.progress:.0f} %"
+    state = f"control {controller.authority}   {controller.health}{'   arrived' if controller.arrived else way}"
+    return [state, f"why     {controller.health_why}{lasts}"] if controller.health_why else [state]
 
 
 def _localisation(view: LiveView) -> list[str]:

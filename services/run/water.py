@@ -9,7 +9,7 @@ import numpy as np
 
 from ltv_mpc.currents import WaterPrior, read_prior
 from ltv_mpc.localisation.config import EstimatorConfig
-from ltv_mpc.messages import Estimate
+from ltv_mpc.messages import Estimate, Message
 from ltv_mpc.validation import rejection_reason
 
 
@@ -38,8 +38,10 @@ class EstimatedCurrent:
         self._last: Estimate | None = None
         self._left: dict[float, tuple[float, float, float]] = {}  # depth: north, east, sd
 
-    def update(self, estimate: Estimate) -> None:
-        """Add the next estimate."""
+    def update(self, estimate: Message) -> None:
+        """Add the next estimate; other messages are ignored."""
+        if not isinstance(estimate, Estimate):
+            return
         before = None if self._last is None else self._last.current
         now = estimate.current
         if before is not None and before.sd_mps is not None:

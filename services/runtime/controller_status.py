@@ -7,6 +7,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Sequence
 
 from ltv_mpc.control.node import ControllerNode
+from ltv_mpc.errors import with_reason
 from ltv_mpc.messages import (
     Applied,
     ClockMode,
@@ -77,8 +78,8 @@ class ControllerStatusReporter:
                 self._cycles.append((now_us, took_us))
                 mission, t_ns = self._node.mission.state, message.cycle_t_ns
                 if mission.action is not self._mission_action:
-                    why = f": {mission.why}" if mission.why else ""
-                    changes.append((t_ns, "mission", f"mission: {mission.action.value}{why}"))
+                    text = with_reason(f"mission: {mission.action.value}", mission.why)
+                    changes.append((t_ns, "mission", text))
                 self._mission_action = mission.action
             changes += self._changes.on_message(message)
         return [RunEvent(t_ns=t_ns, node=self._node.name, kind=kind, text=text) for t_ns, kind, text in changes]

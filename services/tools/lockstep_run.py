@@ -8,7 +8,7 @@ import gc
 from collections.abc import Callable, Sequence
 from functools import cache
 
-from ltv_mpc.messages import Estimate, InboxEntry, Message, RecordedStep, RejectedFrame, StepRecord
+from ltv_mpc.messages import InboxEntry, Message, RecordedStep, RejectedFrame, StepRecord
 from ltv_mpc.node import Node, ReceivedMessage
 from services.bus import topics, wire
 from services.bus.mailbox import Frame
@@ -53,10 +53,6 @@ def run(
         return simulate(run_config, progress=progress, stop=stop)
     learned = EstimatedCurrent()
 
-    def learn(message: Message) -> None:
-        if isinstance(message, Estimate):
-            learned.update(message)
-
     def stop_or_deleted() -> bool:
         if folder.deleted:
             raise FileNotFoundError(errno.ENOENT, DELETED, str(folder.path))
@@ -66,7 +62,7 @@ def run(
     start_ns = run_config.scenario.start_ns
     with RunWriter(folder.recording, start_ns=start_ns, metadata=metadata, flush_s=None) as writer:
         try:
-            summary = simulate(run_config, writer, progress=progress, stop=stop_or_deleted, keep=learn)
+            summary = simulate(run_config, writer, progress=progress, stop=stop_or_deleted, keep=learned.update)
             writer.close()
             folder.write_result(summary, learned.prior())
         except NotStored:
@@ -100,7 +96,9 @@ def simulate(
         start_ns=scenario.start_ns,
         compute_delay_ns=round(scenario.run.compute_delay_s * 1e9),
         observation=Observation(
-            log, types=None if recorded or keep else log.observed_types, on_step=log.stepped if recorded else None
+            log,
+            types=None if recorded or keep else log.metrics.message_types | {RejectedFrame},
+            on_step=log.stepped if recorded else None,
         ),
         latest=LATEST,
         make_rejection=rejected_message,
@@ -141,11 +139,6 @@ class _Log:
         self.metrics = metrics
         self.rejected_count = 0
         self._keep, self._writer = keep, writer
-
-    @property
-    def observed_types(self) -> frozenset[type[Message]]:
-        """Message types that are observed when nothing is recorded."""
-        return self.metrics.message_types | {Estimate, RejectedFrame}
 
     def stepped(self, step: Step) -> None:
         """Record a step; only for a run with a writer."""

@@ -21,11 +21,12 @@ from array import array
 from collections import Counter
 from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from ltv_mpc.errors import with_reason
 from ltv_mpc.geofence.fence import Fence
 from ltv_mpc.messages import (
     Applied,
@@ -36,7 +37,6 @@ from ltv_mpc.messages import (
     Estimate,
     FenceInForce,
     Message,
-    Pair,
     Plan,
     Truth,
 )
@@ -46,20 +46,11 @@ from sim.evaluation.fence_distances import FenceDistances
 from sim.evaluation.further import Positions
 from sim.evaluation.summary import Quantiles, Spread, Thrust
 
-ZERO = np.zeros(1, dtype=np.int64)
+ZERO = np.zeros(1)
 """Start of the descent (ns), (1,)."""
 
 AT_BOX_N = 1e-6
 """Largest distance of a saturated command from its minimum or maximum (N)."""
-
-
-class _Target(NamedTuple):
-    """Reference point of one plan."""
-
-    since_ns: int  # start of the plan's cycle
-    t_ns: int  # time at which the target is there: the plan's first knot
-    position_m: Pair
-    moves: bool  # along a path
 
 
 class TrackErrors:
@@ -72,7 +63,7 @@ class TrackErrors:
         self._in_places = in_places
         self._truth = array("d")  # t, north, east
         self._estimate = array("d")
-        self._reference: list[_Target] = []
+        self._reference = array("d")  # of each plan: start of its cycle, first knot, target there, 1 on a path
         self.arrived_s: float | None = None
         """Vehicle time of the first plan after an arrival (s)."""
 
@@ -94,8 +85,7 @@ class TrackErrors:
         if plan.arrived and self.arrived_s is None:
             self.arrived_s = plan.cycle_t_ns * 1e-9
         if plan.reference_m is not None:
-            moves = plan.progress is not None
-            self._reference.append(_Target(plan.cycle_t_ns, int(plan.t_ns[0]), plan.reference_m, moves))
+            self._reference.extend((plan.cycle_t_ns, plan.t_ns[0], *plan.reference_m, plan.progress is not None))
 
     @cached_property
     def positions(self) -> Positions | None:
@@ -132,15 +122,13 @@ class TrackErrors:
 
         On a path it moves linearly from the first knot of one plan to that of the next.
         """
-        if not self._reference:
+        rows = _rows(self._reference, 5)
+        if not len(rows):
             return np.broadcast_to(start, (len(at), 2))
-        since = np.array([target.since_ns for target in self._reference])
-        newest = np.maximum(np.searchsorted(since, at, side="right") - 1, 0)
-        positions: Array = np.array([target.position_m for target in self._reference])[newest]
-        moves = np.array([target.moves for target in self._reference])[newest]
+        newest = np.maximum(np.searchsorted(rows[:, 0], at, side="right") - 1, 0)
+        positions, moves = rows[newest, 2:4], rows[newest, 4] > 0.0
         if moves.any():
-            path = [target for target in self._reference if target.moves]
-            positions[moves] = _track(np.array([(target.t_ns, *target.position_m) for target in path]), at[moves])
+            positions[moves] = _track(rows[rows[:, 4] > 0.0, 1:4], at[moves])
         return positions
 
 
@@ -229,35 +217,27 @@ class ClockSpeed:
         return (newest.vehicle_ns - first.vehicle_ns) / 1e3 / (newest.at_monotonic_us - first.at_monotonic_us)
 
 
-class _Published(NamedTuple):
-    """Times of a published plan (vehicle ns)."""
-
-    start_ns: int
-    estimate_t_ns: int
-    published_ns: int
-
-
 class PlanDelays:
     """Delays from an estimate to the effect of its plan."""
 
     def __init__(self) -> None:
-        self._published: dict[tuple[int, int], _Published] = {}  # by epoch and sequence, until the plant receives it
+        # Start of the plan, time of its estimate, publication; by epoch and sequence, until the plant receives it.
+        self._published: dict[tuple[int, int], tuple[int, int, int]] = {}
         self._received = array("d")  # estimate to effect, publication to arrival, arrival to effect (ns); clock's speed
         self._compute_s = array("d")  # vehicle and wall
         self._laps_us: dict[str, array[float]] = {"age": array("d")}
 
     def add_plan(self, plan: Plan, epoch: int, sequence: int, t_ns: int) -> None:
         """Add a plan that was published at ``t_ns``."""
-        self._published[epoch, sequence] = _Published(int(plan.t_ns[0]), plan.estimate_t_ns, t_ns)
+        self._published[epoch, sequence] = int(plan.t_ns[0]), plan.estimate_t_ns, t_ns
 
     def add_applied(self, applied: Applied, speed: float) -> None:
         """Add the arrival of a plan at the plant; ``speed`` is that of the clock."""
         plan = self._published.pop((applied.plan_epoch, applied.plan_sequence), None)
         if plan is not None:
-            received_ns = applied.plan_received_t_ns
-            effect_ns = max(plan.start_ns, received_ns)
-            intervals_ns = effect_ns - plan.estimate_t_ns, received_ns - plan.published_ns, effect_ns - received_ns
-            self._received.extend((*intervals_ns, speed))
+            (start_ns, estimate_ns, published_ns), received_ns = plan, applied.plan_received_t_ns
+            effect_ns = max(start_ns, received_ns)
+            self._received.extend((effect_ns - estimate_ns, received_ns - published_ns, effect_ns - received_ns, speed))
 
     def add_timing(self, timing: CycleTiming, speed: float) -> None:
         """Add the times of one controller cycle."""
@@ -339,7 +319,7 @@ class RunMetrics:
         self.fence.add_plan(plan)
         self.qp_status[plan.solve.status.value] += 1
         self.plan_origin[plan.origin.value] += 1
-        self.health[f"{plan.health.value}: {plan.health_why}" if plan.health_why else plan.health.value] += 1
+        self.health[with_reason(plan.health.value, plan.health_why)] += 1
         self.delays.add_plan(plan, epoch, sequence, t_ns)
         self.track.add_plan(plan)
 

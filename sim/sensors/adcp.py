@@ -2,7 +2,7 @@
 
 Beams   e_1,2 = [+-sin a, 0, cos a] ahead and astern,  e_3,4 = [0, +-sin a, cos a] to starboard and to port, in the
         instrument's own axes;  M = M_err M_nominal turns them into the body's
-Cells   slant range r_j = blanking + (j + 1/2) cell, as many as end within the range
+Cells   slant range r_j = blanking + (j + 1/2) cell, as many as end within the range, at least one
 Truth   d_i = R M e_i (NED),  z_ij = z + (R l)_down + r_j d_i,down,  v_t = v + R (w x l)
         b_ij = d_i . ([c(z_ij), 0] - v_t)        positive away from the vehicle; the water moves horizontally
 Bottom  The side lobes of each beam also look straight down. Their echo off the sea bed, at the slant range of the

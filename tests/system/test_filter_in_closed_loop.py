@@ -13,7 +13,6 @@ from ltv_mpc.messages import AdcpPing, Applied, Estimate, FilterStatus, ImuSampl
 from services.run.nodes import make_nodes
 from services.run.run_config import Override, resolve
 from services.tools import lockstep_run
-from sim.scheduler import LockStep, Observation
 
 SECOND = 1_000_000_000
 FROM_S = 15
@@ -42,12 +41,11 @@ class Flown:
         self.config = resolve("descent", [Override("test", [f"run.duration_s={end_s}", *settings])])
         self.heard = {kind: [] for kind in (Truth, Estimate, LocalisationReport, Applied)}
         nodes = [Altered(n, alter) if n.name == "sensors" else n for n in make_nodes(self.config)]
-        start_ns, observation = self.config.scenario.start_ns, Observation(self)
-        LockStep(nodes, start_ns=start_ns, latest=lockstep_run.LATEST, observation=observation).advance(end_s * SECOND)
+        lockstep_run.simulate(self.config, nodes=nodes, keep=self.keep)
 
-    def published(self, _node, message):
-        if type(message.message) in self.heard:
-            self.heard[type(message.message)].append(message.message)
+    def keep(self, message):
+        if type(message) in self.heard:
+            self.heard[type(message)].append(message)
 
     def truth_at(self, t_ns):
         return next(truth for truth in self.heard[Truth] if truth.t_ns == t_ns)

@@ -58,8 +58,8 @@ class Adcp(SensorSettings, frozen=True, kw_only=True):
 
     @property
     def cell_ranges_m(self) -> Array:
-        """Ranges of the middles of the cells along a beam (m), (K,)."""
-        cells = math.floor((self.range_m - self.blanking_m) / self.cell_m + 1e-9)
+        """Ranges of the middles of the cells along a beam (m), (K,): those that end within the range, at least one."""
+        cells = max(math.floor((self.range_m - self.blanking_m) / self.cell_m + 1e-9), 1)
         return self.blanking_m + (np.arange(cells, dtype=np.float64) + 0.5) * self.cell_m
 
 

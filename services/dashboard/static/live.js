@@ -207,8 +207,9 @@
     const degrees = now.heading_rad === null ? null : (((now.heading_rad * 180) / Math.PI) % 360 + 360) % 360;
     const { plan, controller } = now; // empty while there is none
     const since = run.values.in_places === undefined ? ` since t = ${run.values.since_s ?? 0} s` : "";
+    const lasts = now.t_s !== null && now.health_s !== null ? `, ${figure(Math.max(now.t_s - now.health_s, 0), 0, "s")}` : "";
     const entries = [
-      ["health", plan.health_why ? `${plan.health}: ${plan.health_why}` : plan.health || "–", plan.health && (plan.health === "nominal" ? "good" : "bad")],
+      ["health", plan.health_why ? `${plan.health}: ${plan.health_why}${lasts}` : plan.health || "–", plan.health && (plan.health === "nominal" ? "good" : "bad")],
       ["command authority", plan.authority || "–"],
       ["plan", plan.why ? `${plan.origin}: ${plan.why}` : plan.origin || "–"],
       ...fenceFacts(plan.fence),

@@ -23,11 +23,6 @@ class ListKind(enum.IntEnum):
     MISSION = 0
     FENCE = 1
 
-    @property
-    def label(self) -> str:
-        """Name of the list in a reason."""
-        return self.name.lower()
-
 
 class ListRefused(Refused):
     """Mission or fence that cannot be used. The ground station receives the reason."""
@@ -71,7 +66,7 @@ class Download:
             return False
         if message.count > MAX_ITEMS:
             self._end(now_us + POLL_US)
-            raise ListRefused(f"{self._kind.label}: {message.count} items, at most {MAX_ITEMS}")
+            raise ListRefused(f"{self._kind.name.lower()}: {message.count} items, at most {MAX_ITEMS}")
         self._end(now_us)
         self._count = message.count
         return self._is_another(now_us)

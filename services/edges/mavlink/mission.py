@@ -132,7 +132,7 @@ class MissionFollower:
             self._due.pop(kind, None)
             if not reply.accepted:
                 self._progress = None if kind is MISSION else self._progress
-                return ListRefused(f"{kind.label} rejected: {reply.why}")
+                return ListRefused(f"{kind.name.lower()} rejected: {reply.why}")
             if kind is MISSION and self._progress is not None:
                 self._progress.accept(reply.t_ns)
                 self.texts.extend((NOTICE, text) for text in self._progress.mission.texts)

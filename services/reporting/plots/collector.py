@@ -178,7 +178,9 @@ class Collector:
     def current_tables(self) -> dict[str, Columns]:
         """Return the tables of the newest state."""
         estimate = self.newest.estimate
-        covariance = None if estimate is None else self._true.covariance(estimate)
+        covariance = None
+        if estimate is not None:
+            covariance = self._true.covariance(estimate, absolute=self._true.in_places)
         tables = self.newest.tables(self.vehicle, covariance, self.seconds, self._unwrapped_deg)
         return {**tables, "stages": self._delays.stages()}
 

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import msgspec
 
+from ltv_mpc.errors import with_reason
 from ltv_mpc.messages import (
     Acknowledgement,
     Command,
@@ -40,6 +41,8 @@ class Marks:
         self.marks: list[Mark] = []
         self.omitted = 0
         self._states = {"health": Health.NOMINAL.value, "filter": FilterStatus.NOMINAL.value}
+        self.since_s: dict[str, float] = {}
+        """Time at which health, authority and others took their newest value."""
         self._epochs: dict[str, int] = {}
         self._commands: dict[int, tuple[Command, int]] = {}  # with the epoch of the sender, by identifier
         self._simulator: int | None = None  # epoch of the simulated vehicle
@@ -68,16 +71,17 @@ class Marks:
 
     def _add_plan(self, plan: Plan) -> None:
         self._newest_ns = plan.cycle_t_ns
-        health = f"{plan.health.value}{_because(plan.health_why)}"
+        health = with_reason(plan.health.value, plan.health_why)
         self._add_state(plan.cycle_t_ns, "controller", "command authority", plan.authority.value)
         self._add_state(plan.cycle_t_ns, "controller", "health", health)
         self._add_state(plan.cycle_t_ns, "controller", "plan origin", plan.origin.value, plan.why)
 
     def _add_state(self, t_ns: int, node: str, what: str, state: str, why: str = "") -> None:
         """Add a mark if the state has changed; a first state is one only of health or filter that is not nominal."""
-        if self._states.get(what, state) != state:
-            self._append(t_ns, node, f"{what}: {state}{_because(why)}")
-        self._states[what] = state
+        if self._states.get(what) != state:
+            if what in self._states:
+                self._append(t_ns, node, with_reason(f"{what}: {state}", why))
+            self._states[what], self.since_s[what] = state, self._seconds(t_ns)
 
     def _add_acknowledgement(self, answer: Acknowledgement) -> None:
         command, epoch = self._commands.pop(answer.command_id, (None, None))
@@ -85,7 +89,7 @@ class Marks:
         # A simulated vehicle arms by force before the first estimate: what it skips is no event of the run.
         simulated = epoch is not None and epoch == self._simulator
         why = answer.why if not answer.accepted else "" if simulated else "; ".join(answer.warnings)
-        text = f"{asked} {'accepted' if answer.accepted else 'rejected'}{_because(why)}"
+        text = with_reason(f"{asked} {'accepted' if answer.accepted else 'rejected'}", why)
         self._append(answer.t_ns, "controller", text)
 
     def _append(self, t_ns: int, node: str, text: str) -> None:
@@ -93,7 +97,3 @@ class Marks:
             self.marks.append(Mark(t_s=round(self._seconds(t_ns), 3), node=node, text=text))
         else:
             self.omitted += 1
-
-
-def _because(why: str) -> str:
-    return f": {why}" if why else ""

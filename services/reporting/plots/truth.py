@@ -69,15 +69,15 @@ class TrueTrack:
         north, east = self._difference(estimate)
         return north - self.start_error[0], east - self.start_error[1]
 
-    def covariance(self, estimate: Estimate) -> Array | None:
-        """Return the position covariance (2, 2) (m^2); after the start that of the drift, P(t) - P(0).
+    def covariance(self, estimate: Estimate, *, absolute: bool = False) -> Array | None:
+        """Return the position covariance (2, 2) (m^2); after the start that of the drift, P(t) - P(0), if not absolute.
 
         The error of the fix at the start is common to both times and cancels in the drift.
         """
         if estimate.covariance is None:
             return None
         position: Array = estimate.covariance[:2, :2]
-        if self._start_covariance is not None:
+        if self._start_covariance is not None and not absolute:
             position = position - self._start_covariance[:2, :2]
         return position
 

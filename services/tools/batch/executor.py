@@ -101,6 +101,20 @@ def run_each(
                     yield place, lost(jobs[place])
 
 
+def in_order(
+    work: Callable[[T], R], jobs: Sequence[T], *, workers: int | None = None, progress: Callable[[float], None]
+) -> list[R]:
+    """Execute all jobs on this machine; return the results in the order of the jobs.
+
+    ``progress`` receives the share done as each job ends.
+    """
+    found: dict[int, R] = {}
+    for place, result in run_each(work, jobs, workers=workers):
+        found[place] = result
+        progress(len(found) / len(jobs))
+    return [found[place] for place in range(len(jobs))]
+
+
 class _Processes:
     """Processes of this machine, each with a pipe and a thread that waits at it. They always end with this process."""
 

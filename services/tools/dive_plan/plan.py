@@ -16,7 +16,7 @@ import dataclasses
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -29,19 +29,13 @@ from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter.state import grid
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors import fitted
-from ltv_mpc.messages import Plan, Truth
-from ltv_mpc.node import ReceivedMessage
+from ltv_mpc.messages import Message, Plan, Truth
 from ltv_mpc.references import Hold, Point
-from services.run.nodes import make_nodes
 from services.run.run_config import Override, RunConfig, resolve
 from services.tools import lockstep_run
-from services.tools.batch.executor import run_each
+from services.tools.batch.executor import in_order
 from sim.evaluation.cramer_rao_bound import Trajectory, bound
 from sim.scenario import MAX_ESTIMATOR_CELLS
-from sim.scheduler import LockStep, Observation
-
-T = TypeVar("T")
-R = TypeVar("R")
 
 DESCENT_S = 200.0
 """Length of a dive without a given duration (s)."""
@@ -170,14 +164,15 @@ class Flight(NamedTuple):
 
 
 class _Track:
-    """Observer of a simulated dive."""
+    """True track of a simulated dive, and whether its path is complete."""
 
     def __init__(self) -> None:
         self.truths: list[Truth] = []
         self.complete = False
 
-    def published(self, node: str, message: ReceivedMessage) -> None:  # noqa: ARG002  (the type implies the node)
-        match message.message:
+    def keep(self, message: Message) -> None:
+        """Take a message of the dive."""
+        match message:
             case Truth() as truth if truth.t_ns % TRACK_NS == 0:
                 self.truths.append(truth)
             case Plan(progress=progress):
@@ -191,17 +186,7 @@ def fly(dive: Dive) -> Flight:
     """
     run_config = dive.run_config()
     scenario, track = run_config.scenario, _Track()
-    lockstep = LockStep(
-        make_nodes(run_config, publish_unread_topics=False),
-        start_ns=scenario.start_ns,
-        compute_delay_ns=round(scenario.run.compute_delay_s * 1e9),
-        observation=Observation(track, types=frozenset({Truth, Plan})),
-        latest=lockstep_run.LATEST,
-    )
-    for t_ns in (*range(scenario.start_ns, scenario.end_ns, 1_000_000_000), scenario.end_ns):
-        lockstep.advance(t_ns)
-        if track.complete and dive.duration_s is None:
-            break
+    lockstep_run.simulate(run_config, keep=track.keep, stop=lambda: track.complete and dive.duration_s is None)
     position = np.array([truth.position_m for truth in track.truths])
     config = deep_enough(scenario.estimator, float(position[:, 2].max()), run_config.sensor_config.adcp.range_m)
     trajectory = Trajectory(
@@ -254,18 +239,18 @@ def plan(
     """
     total, done = len(fixes) * runs + 2 * len(SOURCES) + GAINS, itertools.count(1)
 
-    def advance() -> None:
+    def advance(_: float) -> None:
         progress(next(done) / total)
 
     dives = [dive._replace(fixes=n, seed=dive.seed + i) for n in fixes for i in range(runs)]
-    flights = _each(fly, dives, advance)
+    flights = in_order(fly, dives, progress=advance)
     lines = [_rms([flight.drift_m for flight in flights[k * runs : (k + 1) * runs]]) for k in range(len(fixes))]
     first = flights[0]
     end_s, end_m = first.case.at_s[-1], lines[0][-1]
     base = first.case._replace(at_s=(end_s,))
     changes = gains(base)
     sources = [scaled(base, keys, factor) for keys in SOURCES.values() for factor in (STEP, 1.0 / STEP)]
-    ends = [line[-1] for line in _each(drift, [*changes.values(), *sources], advance)]
+    ends = [line[-1] for line in in_order(drift, [*changes.values(), *sources], progress=advance)]
     ratios, more, less = [end / first.drift_m[-1] for end in ends[:GAINS]], ends[GAINS::2], ends[GAINS + 1 :: 2]
     shares = {name: math.log(high / low) / math.log(STEP) for name, high, low in zip(SOURCES, more, less, strict=True)}
     run_config, sensors = dives[0].run_config(), first.case.sensor_config
@@ -293,15 +278,6 @@ def not_counted(sensors: SensorConfig) -> list[str]:
     """Return the names of the vehicle's sensors that are no source of the error budget."""
     counted = {key.partition(".")[0] for keys in SOURCES.values() for key in keys}
     return [sensor.name for sensor, _ in fitted(sensors) if sensor.name not in counted]
-
-
-def _each(work: Callable[[T], R], jobs: Sequence[T], advance: Callable[[], None]) -> list[R]:
-    """Do all jobs on all cores, and return the results in the order of the jobs."""
-    results: dict[int, R] = {}
-    for place, result in run_each(work, jobs):
-        results[place] = result
-        advance()
-    return [results[place] for place in range(len(jobs))]
 
 
 def _rms(lines: Sequence[Sequence[float]]) -> list[float]:

@@ -170,8 +170,7 @@ def localise(
         notes=(*heads, *_notes(settings, dive, track, why), *_inconsistency(track, many)),
         parameters=parameters,
     )
-    constant = constant_velocity(dive[:fixes])
-    return Outcome(result, dive, track, _truth(ground), constant)
+    return Outcome(result, dive, track, _truth(ground), constant_velocity(dive[:fixes]))
 
 
 def dive_end(ensembles: Sequence[Ensemble], first: int, longest_gap_s: float) -> tuple[int, str]:
@@ -185,20 +184,15 @@ def dive_end(ensembles: Sequence[Ensemble], first: int, longest_gap_s: float) ->
     return len(ensembles), ""
 
 
-def write(outcome: Outcome, folder: Path) -> str:
-    """Write localise.json, track.csv, currents.csv and localise.html; return why the plots are missing, else ""."""
+def write(outcome: Outcome, folder: Path) -> None:
+    """Write localise.json, track.csv, currents.csv and localise.html; raises ``NoPlotly`` instead of the last."""
     plain = msgspec.json.format(msgspec.json.encode(outcome.result), indent=2)
     (folder / "localise.json").write_bytes(plain + b"\n")
     (folder / "track.csv").write_text(_table(outcome), encoding="utf-8")
     write_profile(folder / "currents.csv", outcome.track.water)
-    from services.reporting.static_files import NoPlotly
     from services.tools.localise import plot
 
-    try:
-        plot.write(outcome, folder / "localise.html")
-    except NoPlotly as error:
-        return f"no plots: {error}"
-    return ""
+    plot.write(outcome, folder / "localise.html")
 
 
 def _of_head(recording: Recording, head: str | None) -> tuple[Sequence[Ensemble], list[str]]:
@@ -274,9 +268,8 @@ def _study(
     first = starts(dive)[:MAX_STARTS]
     for done, start in enumerate(first):
         progress(done / len(first))
-        result = run_start(dive, ground, noise, parameters, start=start, offered_fixes=fixes)
-        if result is not None:
-            rows.append(result)
+        found = run_start(dive, ground, noise, parameters, start=start, offered_fixes=fixes)
+        rows += [] if found is None else [found]
     if not rows:
         return None
     median = float(np.median([row.error_m for row in rows]))
@@ -308,8 +301,8 @@ def _notes(settings: Settings, dive: Sequence[BeamEnsemble], track: Track, why: 
 
 def _truth(ground: BottomTrackPath) -> Array:
     """Return bottom track's position at every ensemble, relative to the first."""
-    shown = (ground.displacement(0, k) for k in range(len(ground.t_s)))
-    return np.array([np.full(2, np.nan) if x is None else x for x in shown])
+    nowhere = np.full(2, np.nan)
+    return np.array([nowhere if (x := ground.displacement(0, k)) is None else x for k in range(len(ground.t_s))])
 
 
 def _table(outcome: Outcome) -> str:

@@ -29,6 +29,7 @@ from ltv_mpc.messages import (
     Plan,
     RejectedFrame,
 )
+from ltv_mpc.safety.health import HealthState
 from ltv_mpc.safety.mission_policy import MissionSettings
 from tests.ltv_mpc.control.test_restore import Flight
 from tests.ltv_mpc.reports import report
@@ -211,8 +212,12 @@ def test_actuators_that_another_one_drives_are_a_warning_when_arming():
     assert craft.node._model_monitor.products is None  # nothing is learned
 
 
-def test_a_second_source_of_the_reports_degrades_the_health_while_it_publishes():
+def test_a_second_source_of_the_reports_degrades_the_health_while_it_publishes(monkeypatch):
+    """Also beside a warning about the vehicle file, which stands for minutes."""
     craft = Craft()
+    check = craft.node.controller.vehicle_file_check
+    check.health = HealthState(Health.DEGRADED, "the vehicle file differs")
+    monkeypatch.setattr(check, "update", lambda *_, **__: None)
     craft.command(Action.ARM, applied(craft))
     for _ in range(5):
         plan = craft.step(SECOND, applied(craft))
@@ -222,7 +227,7 @@ def test_a_second_source_of_the_reports_degrades_the_health_while_it_publishes()
     )
     for _ in range(6):
         plan = craft.step(applied(craft))
-    assert plan.health is Health.NOMINAL
+    assert plan.health_why == "the vehicle file differs"
 
 
 def test_a_reference_beyond_reach_is_refused_at_its_start():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 
 import numpy as np
@@ -80,6 +81,7 @@ LEFT, MIDDLE, RIGHT = square(0.0, 0.0), square(0.0, 0.0005), square(0.0, 0.002)
     [
         (None, 0.0025),  # a plan
         ((0, 0, 0), 0.0025),  # a plan that QGroundControl has sent
+        ((0, 0), 0.0015),  # half of each is common to both
         ((1, 2, 3), 0.0025),
         ((1, 1, 2), 0.0015),  # the common half of the first two, or the last one
         ((1, 1, 1), 0.0025),  # no common area
@@ -89,7 +91,7 @@ def test_the_vehicle_is_inside_all_inclusion_zones_of_any_group(
     tmp_path: Path, groups: tuple[int, ...] | None, width_deg: float
 ) -> None:
     shapely = pytest.importorskip("shapely")
-    rings = (LEFT, MIDDLE, RIGHT)
+    rings = (LEFT, MIDDLE, RIGHT)[: 3 if groups is None else len(groups)]
     if groups is None:
         (tmp_path / "f.plan").write_text(plan([(True, ring) for ring in rings], []))
     else:
@@ -137,6 +139,12 @@ def test_what_a_fence_does_not_use_is_a_note(tmp_path: Path) -> None:
         ("f.waypoints", items(ITEM_0, item(5001, 3.0)), "the last polygon has 1 of 3 vertices"),
         ("f.waypoints", items(item(16), item(16)), "item 1 MAV_CMD_NAV_WAYPOINT (16): is no part of a fence"),
         ("f.waypoints", items(item(5003, 9.0)), "has no home"),
+        (
+            "f.waypoints",
+            items(ITEM_0, *[item(5001, 2.0)] * 2),
+            "item 2 MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION (5001)",
+        ),
+        ("f.waypoints", items(ITEM_0, (5001, 3.0, 0, math.nan, -5.0), *[item(5001, 3.0)] * 2), "(5001): is no polygon"),
         ("f.waypoints", items(ITEM_0, item(5003)), "item 1 MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION (5003) radius = 0"),
     ],
 )

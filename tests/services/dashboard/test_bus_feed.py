@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from unittest.mock import MagicMock
 
-from ltv_mpc.messages import NodeStatus
+from msgspec.structs import replace
+
+from ltv_mpc.messages import Health, NodeStatus
 from services.bus.topics import BY_TYPE, key_of
 from services.bus.wire import Header, encode
 from services.dashboard.bus_feed import BusFeed
+from tests.services.reporting.synthetic_run import S, plan
 from tests.services.words import status
 from tests.waiting import until
 
@@ -26,3 +29,11 @@ def test_no_heartbeat_goes_out_before_a_process_of_the_run_is_known() -> None:
     until(lambda: feed.update() or feed.status().processes)
     feed.beat()
     assert put.call_count == 1
+
+
+def test_the_status_says_since_when_the_health_has_its_reason() -> None:
+    feed = BusFeed(MagicMock(), None)
+    for t_s, why in ((1, ""), (2, "not driving"), (3, "not driving")):
+        changed = replace(plan(t_s * S), health=Health.DEGRADED, health_why=why)
+        feed.collector.add(changed, epoch=0)
+    assert feed.status().health_s == feed.collector.seconds(2 * S)

@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc.messages import Array, Estimate, PlanOrigin
+from ltv_mpc.messages import Array, Estimate, Health, PlanOrigin
 from ltv_mpc.vehicle.propulsion import propulsive_power_W
 from services.bus.wire import Header
 from services.recording.node_settings import vehicle_of
@@ -66,6 +66,21 @@ def test_errors_and_the_true_track_are_drifts_since_the_start_and_so_is_their_sp
     true = columns(collector, "truth", "t_s", "north_m", "east_m")
     assert tuple(true[0]) == (0.0, *OFFSET)
     assert true[-1, 1] == pytest.approx(OFFSET[0] + 2.0)
+
+
+def test_of_a_reference_in_places_nothing_is_shifted_and_the_ellipse_is_that_of_the_position() -> None:
+    collector = Collector()
+    collector.set_files({"config/reference.toml": 'kind = "point"'})
+    for _, message, _ in synthetic_run.dive():
+        collector.add(message, EPOCH)
+    true = columns(collector, "truth", "north_m", "east_m")
+    assert tuple(true[0]) == (0.0, 0.0)
+    newest = synthetic_run.estimate(20 * S)
+    assert newest.covariance is not None
+    away = columns(collector, "ellipse", "north_m", "east_m") - [newest.north_m, newest.east_m]
+    inverse = np.linalg.inv(newest.covariance[:2, :2])
+    np.testing.assert_allclose(np.einsum("ki,ij,kj->k", away, inverse, away), 4.0, rtol=1e-2)
+    assert collector.since == ""
 
 
 def test_distances_are_those_to_the_target(collector: Collector) -> None:
@@ -167,7 +182,7 @@ def test_events_and_changes_are_marks() -> None:
             synthetic_run.ARM,
             synthetic_run.ARMED,
             synthetic_run.EVENT,
-            synthetic_run.plan(0),
+            msgspec.structs.replace(synthetic_run.plan(0), health=Health.DEGRADED, health_why="leak"),
             synthetic_run.plan(S, origin=PlanOrigin.SHIFTED),
         ),
         *(synthetic_run.plan(2 * S, origin=PlanOrigin.SHIFTED), synthetic_run.plan(3 * S), status("plant")),
@@ -177,6 +192,8 @@ def test_events_and_changes_are_marks() -> None:
     assert [(mark.t_s, mark.node, mark.text) for mark in collector.marks.marks] == [
         (0.0, "controller", "arm accepted"),
         (5.0, "plant", synthetic_run.EVENT.text),
+        (0.0, "controller", "health: degraded: leak"),
+        (1.0, "controller", "health: nominal"),
         (1.0, "controller", "plan origin: shifted: OSQP: iteration limit"),
         (3.0, "controller", "plan origin: solved"),
         (3.0, "plant", "restarted"),

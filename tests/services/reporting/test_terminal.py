@@ -85,7 +85,7 @@ def test_the_screen_says_what_the_messages_hold() -> None:
     for words in (
         *("depth 1234.50 m   heading 270 deg   speed 0.100 m/s   current 0.022 m/s", "plan 1.00 s (shifted)"),
         f"estimate from the reference {estimate_m:.3f} m   vehicle {vehicle_m:.3f} m since t = 20.8 s",  # joined late
-        "control controller   degraded (the estimates are too old)   progress 62 %",
+        *("control controller   degraded   progress 62 %", "why     the estimates are too old"),
         *("estimate 0.25 s", "late plans 123456", "diving  wall time 99999 s", "123 of 1000x", *ORDER),
         *("inconsistent (adcp: more than half", "cycle   1234.5 ms, most of it:  solve 1234.56"),
         f"port         -62.5 N  {bar(-62.5, -62.5, 62.5)}",
@@ -93,7 +93,20 @@ def test_the_screen_says_what_the_messages_hold() -> None:
         assert words in text
     assert "arrived" not in text
     arrived = dataclasses.replace(FULL, controller=replace(CONTROLLER, arrived=True))
-    assert "(the estimates are too old)   arrived" in "\n".join(drawn(arrived))
+    assert "control controller   degraded   arrived" in "\n".join(drawn(arrived))
+
+
+def test_a_reason_to_stand_still_fits_a_line_with_the_time_since_it_came() -> None:
+    why = "not driving: autopilot in failsafe; end its cause and set MANUAL"
+    plans = [replace(FULL.plan, health=Health.DEGRADED, health_why=why, cycle_t_ns=t * S) for t in (20, 40, 61)]
+    screen = RunScreen("a boat", LIMITS, console := Console(width=80, height=24, file=io.StringIO()))
+    for plan in plans:
+        screen.update(dataclasses.replace(FULL, t_ns=plan.cycle_t_ns, plan=plan))
+    with console.capture() as capture:
+        console.print(
+            screen.render(dataclasses.replace(FULL, t_ns=61 * S, controller=replace(CONTROLLER, health_why=why)))
+        )
+    assert f"why     {why}, 41 s" in capture.get()
 
 
 def test_the_title_is_bold_and_a_thruster_at_its_limit_is_yellow() -> None:

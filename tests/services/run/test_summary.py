@@ -98,4 +98,4 @@ def test_what_is_written_is_read_beside_it_and_a_file_without_an_end_is_left_to_
     with path.open("ab") as file:
         file.write(content[half:])
     assert growing.result(at_once.append) == summarise_recording(run_config, whole)
-    assert 0.0 < min(at_once) <= max(at_once) <= 1.0
+    assert 0.0 <= min(at_once) <= max(at_once) <= 1.0  # the second may not have begun to read

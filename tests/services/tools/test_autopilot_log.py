@@ -18,7 +18,10 @@ pytest.importorskip("pymavlink", reason="not installed: pip install pymavlink (e
 from ltv_mpc import Vehicle
 from ltv_mpc.config import to_toml
 from ltv_mpc.vehicle.dynamics import rates
+from ltv_mpc.vehicle.identification import identify
+from ltv_mpc.vehicle.shooting_fit import Motion
 from services.cli.app import run
+from tests.foreign_plant.mavlink_flight import EXAMPLE
 from tests.services.edges.mavlink.items import codec
 
 BOAT = Vehicle.load("bluerobotics-boat")
@@ -166,3 +169,20 @@ def test_a_log_that_cannot_be_used_is_one_line(tmp_path: Path, capsys: pytest.Ca
     data_flash(log, FUNCTIONS, {20: 1})
     assert run(["vehicle", "identify", str(log), "--vehicle", "paper"]) == 2
     assert "[thruster.port] pwm_us: is missing" in capsys.readouterr().err
+
+
+def test_the_simulated_autopilot_has_the_boat_of_its_vehicle_file() -> None:
+    """Without the Munk moment, (M_x - M_y) u v, the yaw of its boat was that of no vehicle."""
+    boat, rng, rows, wanted = EXAMPLE.Boat(), np.random.default_rng(5), [], (0.0, 0.0)
+    for k in range(9000):
+        wanted = wanted if k % 200 else tuple(rng.uniform(-20.0, 40.0, 2))
+        if k % PERIOD == 0:
+            rows.append((k * STEP_S, boat.surge, boat.sway, boat.rate, boat.heading, *wanted))
+        boat.step(wanted)
+    t, u, v, r, heading, port, starboard = np.array(rows).T
+    still, velocity, command = np.zeros((len(t), 2)), np.column_stack((u, v, r)), np.column_stack((port, starboard))
+    motion = Motion(t, velocity, np.unwrap(heading), still, command, np.full(3, 1e-3))
+    found = {one.name: one for one in identify(BOAT, motion, "thrust", "arm").coefficients}
+    for name in ("mass_surge", "mass_sway", "inertia_yaw", "quadratic_surge", "quadratic_sway", "quadratic_yaw"):
+        assert found[name].excited
+        assert found[name].value == pytest.approx(found[name].file, rel=0.06)

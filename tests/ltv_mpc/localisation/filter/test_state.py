@@ -21,7 +21,7 @@ def test_states_do_not_overlap_and_a_bias_that_the_sensors_lack_is_none(sensors,
     assert layout.size == CORE + 2 + biases + 2 + 2 * 71
 
 
-@pytest.mark.parametrize(("deepest", "cell", "last"), [(70.0, 1.0, 70.0), (70.5, 1.0, 71.0), (10.0, 0.1, 10.0)])
+@pytest.mark.parametrize(("deepest", "cell", "last"), [(70.0, 1.0, 70.0), (70.5, 1.0, 71.0), (16.1, 0.7, 16.1)])
 def test_the_waters_grid_reaches_its_deepest_and_no_further(deepest, cell, last):
     depths = grid(msgspec.structs.replace(CONFIG, deepest_m=deepest, cell_m=cell))
     np.testing.assert_allclose(depths, np.linspace(0.0, last, round(last / cell) + 1), atol=1e-9)

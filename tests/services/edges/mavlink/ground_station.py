@@ -1,6 +1,7 @@
-"""Ground station by MAVSDK, which nobody here wrote. Run as a process of its own: ``python -m ... PORT``.
+"""Ground station by MAVSDK, which nobody here wrote. Run as a process of its own: ``python -m ... PORT [PLACES]``.
 
-It connects, uploads a mission, arms, sets the mode MANUAL, and reads telemetry until it is ended; lines of JSON.
+It connects, uploads a mission, arms, sets the mode MANUAL, and reads telemetry until it is ended; lines of JSON. With a
+number of places it uploads a mission of so many, clears it for 0, and ends.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ def say(**fields: Any) -> None:
     sys.stdout.flush()
 
 
-async def main(port: int) -> None:
+async def main(port: int, places: int | None) -> None:
     """Run the ground station."""
     from mavsdk.asyncio.mavsdk import Configuration, Mavsdk
     from mavsdk.asyncio.plugins.action.action import ActionAsync
@@ -43,10 +44,13 @@ async def main(port: int) -> None:
                 x=round(lat * 1e7),
                 y=round(lon * 1e7),
             )
-            for at, (lat, lon) in enumerate(PLACES)
+            for at, (lat, lon) in enumerate(PLACES[:places])
         ]
-        await MissionRawAsync(system).upload_mission(items)
+        missions = MissionRawAsync(system)
+        await (missions.upload_mission(items) if items else missions.clear_mission())
         say(uploaded=len(items))
+        if places is not None:
+            return
         await ActionAsync(system).arm()
         say(armed=True)
         telemetry = TelemetryAsync(system)
@@ -55,4 +59,4 @@ async def main(port: int) -> None:
 
 
 if __name__ == "__main__":
-    asyncio.run(main(int(sys.argv[1])))
+    asyncio.run(main(int(sys.argv[1]), int(sys.argv[2]) if sys.argv[2:] else None))

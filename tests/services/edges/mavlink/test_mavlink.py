@@ -180,10 +180,11 @@ def test_a_lost_autopilot_gets_nothing_more_and_a_process_that_stops_lets_go() -
     assert flight.autopilot.overrides == {}
 
 
-def test_while_it_has_released_nothing_is_learned_and_then_the_boat_does_not_lunge() -> None:
+@pytest.mark.parametrize("current_mps", [0.0, 0.3])
+def test_while_it_has_released_nothing_is_learned_and_then_the_boat_does_not_lunge(current_mps: float) -> None:
     """The target is 5 m ahead. Without reports of what acts it would learn half a metre a second of other current."""
     flight = MavlinkFlight()
-    flight.hull.plant.outside[:2] = 0.0, 0.3
+    flight.hull.plant.outside[:2] = 0.0, current_mps
     flight.fly(3.0)
     flight.arm()
     flight.command(action="arm")

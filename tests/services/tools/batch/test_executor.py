@@ -15,7 +15,7 @@ import pytest
 
 from ltv_mpc.errors import ConfigError
 from services.tools.batch import executor
-from services.tools.batch.executor import MAX_LOSSES, WorkerLost, run_each
+from services.tools.batch.executor import MAX_LOSSES, WorkerLost, in_order, run_each
 from tests.waiting import until
 
 
@@ -33,6 +33,17 @@ def mortal(marks: Path, deadly: dict[int, int], job: int) -> int:
 def test_what_a_job_raises_reaches_the_reader(workers: int) -> None:
     with pytest.raises(ValueError, match=r"math domain error|nonnegative"):
         list(run_each(math.sqrt, [4.0, -1.0, 9.0], workers=workers))
+
+
+def slow(seconds: float) -> float:
+    time.sleep(seconds)
+    return seconds
+
+
+def test_results_come_in_the_order_of_the_jobs() -> None:
+    shares: list[float] = []
+    assert in_order(slow, [1.0, 0.0], workers=2, progress=shares.append) == [1.0, 0.0]
+    assert shares == [0.5, 1.0]
 
 
 def refuse(job: int) -> None:
@@ -113,7 +124,12 @@ def test_a_cluster_that_loses_its_worker_on_the_way_does_each_job(
     distributed = pytest.importorskip("distributed")
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
         monkeypatch.setenv(name, "1")
-    options = {"n_workers": 1, "threads_per_worker": 1, "dashboard_address": None, "local_directory": str(tmp_path)}
+    options = {
+        "n_workers": 1,
+        "threads_per_worker": 1,
+        "dashboard_address": "127.0.0.1:0",
+        "local_directory": str(tmp_path),
+    }
     done: list[tuple[int, float]] = []
     with distributed.LocalCluster(**options) as cluster:
         for one in run_each(math.exp, [float(job) for job in range(12)], cluster=cluster.scheduler_address):

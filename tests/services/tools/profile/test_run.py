@@ -22,13 +22,11 @@ from ltv_mpc.messages import Applied, CycleTiming, Estimate, Message, Plan, Solv
 from ltv_mpc.node import Cycle, Inbox, Node
 from services.cli.app import run
 from services.recording.reader import Recording
-from services.run import folder
-from services.run.run_config import Override, resolve
-from services.tools import lockstep_run
 from services.tools.profile import measure as measurement
 from services.tools.profile import problems
 from services.tools.profile import run as latency
 from services.tools.profile.measure import STAGES, Candidate, Samples, measure, piqp_native, solver_by_name
+from services.tools.python_run import simulate
 
 OSQP, PIQP = solver_by_name("osqp"), piqp_native()
 
@@ -204,11 +202,9 @@ def test_of_one_current_the_controller_is_told_nothing() -> None:
 @pytest.fixture(scope="module")
 def dive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Record a run of 8 s with estimator."""
-    settings = ["run.duration_s=8", "controller.horizon_s=2.4", "controller.sqp_iterations=1"]  # as what is measured
-    run_config = resolve("descent", [Override("test", settings)])
-    held = folder.make("dive", run_config.files, out=tmp_path_factory.mktemp("runs") / "dive")
-    lockstep_run.run(run_config, held)
-    return held.path
+    out = tmp_path_factory.mktemp("runs") / "dive"
+    simulate("descent", out=out, duration_s=8, horizon_s=2.4, sqp_iterations=1)  # as what is measured
+    return out
 
 
 def test_a_recorded_run_gives_the_controller_what_it_got(dive: Path) -> None:
