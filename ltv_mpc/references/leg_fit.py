@@ -2,8 +2,9 @@
 
 Planners, logs and mission editors write points whose corners are not corners of the path. Four steps find its legs:
 
-0. Sparse points that turn evenly are samples of a curve: the cubic spline through them, as far as it stays within
-   ``corner_m`` of the straight lines between them, adds points (the turn of a corner is not that of its neighbours).
+0. Sparse points that turn evenly are samples of a curve: the cubic spline through them, drawn in where it leaves the
+   straight lines between them by more than ``corner_m``, adds points (the turn of a corner is not that of its
+   neighbours).
 1. Neighbours are averaged in pairs while their distance is below ``NOISY_STEPS`` standard deviations of the noise.
 2. Points within a tolerance of the leg between two others are left out (Douglas & Peucker 1973). A leg never goes back
    along itself: the point at which the path turns back is kept.
@@ -144,8 +145,10 @@ def _curved(p: Array, corner_m: float) -> tuple[Array, Numbers, float]:
     dense = p[leg] + share * (p[leg + 1] - p[leg])
     aside = (1.0 - share) * (slope[leg] - legs[leg]) - share * (slope[leg + 1] - legs[leg])
     aside *= share * (1.0 - share)
-    dense[:, :2] += aside
-    return np.vstack([dense, p[-1:]]), number, float(np.hypot(*aside.T).max())
+    curve_m = np.hypot(*aside.T)
+    scale = (corner_m / np.maximum(np.maximum.reduceat(curve_m, number[:-1]), corner_m))[leg]
+    dense[:, :2] += scale[:, None] * aside
+    return np.vstack([dense, p[-1:]]), number, float((scale * curve_m).max())
 
 
 def _smooth_legs(given: Array, largest_m: float) -> tuple[Array, Array]:

@@ -7,6 +7,7 @@ import math
 import msgspec
 import numpy as np
 import pytest
+import shapely
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
@@ -96,6 +97,17 @@ def test_sparse_points_that_turn_evenly_are_samples_of_a_curve_that_stays_near_t
     assert wide.curve_m < 0.4
     hexagon = 3.0 * np.column_stack([np.cos(ANGLE), np.sin(ANGLE)])[:: len(ANGLE) // 6]
     np.testing.assert_allclose(waypoints(hexagon, 0.4)._fit()[1].ends[:, :2], hexagon, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", [45, 69, 143])
+def test_a_curve_through_samples_is_not_farther_from_their_lines_than_corner_m(seed: int) -> None:
+    """The splines through these are up to 0.12 m from the lines."""
+    heading = np.cumsum(np.cumsum(0.15 * np.random.default_rng(seed).normal(size=40)))
+    points = np.cumsum(np.column_stack([np.cos(heading), np.sin(heading), np.zeros(40)]), axis=0)
+    fit = fit_legs(points, 0.1)
+    beside_m = shapely.distance(shapely.LineString(points[:, :2]), shapely.points(fit.ends[:, :2]))
+    assert beside_m.max() < 0.1 + 0.02  # and what the fit of legs allows
+    assert fit.curve_m == pytest.approx(0.1)
 
 
 @pytest.mark.parametrize("beside", [(0.05, 0.0), (-0.05, 0.03), (0.0, -0.06)])
