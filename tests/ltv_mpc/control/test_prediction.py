@@ -219,3 +219,6 @@ def test_a_report_without_an_accepted_plan_is_no_receipt():
     delay = Delay(5, 1.0)
     delay.add_receipt(applied(10, plan_sequence=-1))
     assert delay.expected_ns == 5
+    for of_other, expected in ((8, 8), (3, 5)):  # without measurements, what another controller expected counts
+        delay.restore(of_other, (), ())
+        assert delay.expected_ns == expected
