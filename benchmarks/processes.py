@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 import time
 from contextlib import suppress
 from pathlib import Path
-from typing import IO, NamedTuple
+from typing import IO
 
 from services.supervisor.loopback import is_listening
 from services.supervisor.parent_death import OrphanCleanup
@@ -69,31 +68,19 @@ def await_router(endpoint: str) -> None:
         time.sleep(0.02)
 
 
-TICK_S = 1 / os.sysconf("SC_CLK_TCK")
-
-
-class Times(NamedTuple):
-    """Name, and user and system time (s) of all threads of a process."""
-
-    name: str
-    user_s: float
-    system_s: float
-
-
-def descendants(root: int) -> dict[int, Times]:
-    """Return the live process ``root``, by the name "supervisor", and all that it and its children have started."""
-    rows: dict[int, tuple[int, Times]] = {}
+def descendants(root: int) -> dict[int, str]:
+    """Return the names of the live process ``root``, "supervisor", and of all that it and its children have started."""
+    rows: dict[int, tuple[int, str]] = {}
     for stat in Path("/proc").glob("[0-9]*/stat"):
         try:
             name, _, rest = stat.read_text(errors="replace").partition("(")[2].rpartition(")")
         except OSError:  # it has ended meanwhile
             continue
-        fields = rest.split()
-        if fields[0] != "Z":
-            times = Times(name, int(fields[11]) * TICK_S, int(fields[12]) * TICK_S)
-            rows[int(stat.parent.name)] = int(fields[1]), times
-    found: dict[int, Times] = {}
-    for pid, (parent, times) in sorted(rows.items()):
-        if pid == root or parent in found:
-            found[pid] = times._replace(name="supervisor") if pid == root else times
+        state, parent = rest.split()[:2]
+        if state != "Z":
+            rows[int(stat.parent.name)] = int(parent), name
+    found = {root: "supervisor"} if root in rows else {}
+    for pid, (parent, name) in sorted(rows.items()):
+        if parent in found:
+            found[pid] = name
     return found

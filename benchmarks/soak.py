@@ -72,9 +72,9 @@ def watch(supervisor: subprocess.Popen[bytes], wall_s: float, every_s: float) ->
     names: dict[int, str] = {}  # a fork has its own name a moment later
     began = time.monotonic()
     while (at_s := time.monotonic() - began) < wall_s and supervisor.poll() is None:
-        for pid, one in descendants(supervisor.pid).items():
+        for pid, name in descendants(supervisor.pid).items():
             if (seen := look(pid, at_s)) is not None:
-                names[pid] = one.name
+                names[pid] = name
                 looks.setdefault(pid, []).append(seen)
         sys.stderr.write(f"\r{at_s / 60:.1f} of {wall_s / 60:g} min")
         time.sleep(every_s)

@@ -108,7 +108,7 @@ def attacked(run: Run, folder: Path) -> Ended:
 def _attack(fault: Fault, process: Process, clock: _Time) -> Injected:
     at_us, at_ns, why = monotonic_us(), clock.now_ns() or fault.start_ns, ""
     try:
-        pid = next((pid for pid, one in descendants(process.pid).items() if one.name == f"ltv-{fault.target}"), None)
+        pid = next((pid for pid, name in descendants(process.pid).items() if name == f"ltv-{fault.target}"), None)
         if pid is None:
             raise ProcessLookupError(f"no process of {fault.target} is running")
         attack(fault, pid, lasts=lambda: (clock.now_ns() or fault.end_ns) < fault.end_ns)

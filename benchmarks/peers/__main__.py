@@ -24,7 +24,7 @@ OURS: dict[Candidate, str] = {
 }
 
 PACKAGES = (
-    *("numpy", "scipy", "numba", "osqp", "daqp", "piqp", "qpsolvers", "qpmpc", "do-mpc", "casadi", "cvxpy"),
+    *("numpy", "scipy", "numba", "osqp", "daqp", "piqp", "qpsolvers", "qpmpc", "do-mpc", "casadi"),
     "comma-deps-acados",
 )
 

@@ -9,7 +9,6 @@ from benchmarks.peers.peer import Peer
 
 FILES = {
     "with_qpmpc": ("QpmpcDaqp", ("qpmpc", "daqp")),
-    "with_cvxpy": ("CvxpyOsqp", ("cvxpy",)),
     "with_casadi": ("CasadiIpopt", ("casadi",)),
     "with_acados": ("AcadosRti", ("acados", "casadi")),
     "with_do_mpc": ("DoMpcIpopt", ("do_mpc", "casadi")),

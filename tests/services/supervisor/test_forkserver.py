@@ -176,6 +176,20 @@ def test_what_a_slow_fork_server_forks_too_late_ends_and_takes_nothing_from_the_
     assert child.exit_code() is None
 
 
+@pytest.mark.parametrize("forked", [True, False])
+def test_a_child_that_dies_before_it_is_let_go_on_has_its_exit_code(
+    crew: ChildProcesses, monkeypatch: pytest.MonkeyPatch, forked: bool
+) -> None:
+    """The forked one cannot open its log, and the spawned one stops before it reads its lifeline."""
+    if forked:
+        (Path(crew.forks.log.parent) / "plant.log").mkdir()
+    else:
+        monkeypatch.setattr(forkserver, "ENTRY_POINT", ("-c", "raise SystemExit(1)"))
+        crew.forks._end(crew.forks._servers[0])
+    crew.start(ProcessRow("plant", "quick", True), Quick("sleeps"))
+    until(lambda: crew.wait(0.01, lambda: False) or crew.by_name["plant"].exit_code() == 1)
+
+
 SUPERVISOR = f"""
 import sys, time
 from pathlib import Path
