@@ -28,14 +28,12 @@ from acados.acados_template import AcadosModel, AcadosOcp, AcadosOcpSolver  # no
 
 from benchmarks.peers import symbolic  # noqa: E402
 from benchmarks.peers.peer import Peer  # noqa: E402
-from ltv_mpc.control.config import STAGE_NS, ResolvedConfig, Weights  # noqa: E402
-from ltv_mpc.control.problem_data import Constants  # noqa: E402
+from ltv_mpc.control.config import ResolvedConfig, Weights  # noqa: E402
+from ltv_mpc.control.problem_data import STAGE_S, Constants  # noqa: E402
 from ltv_mpc.control.solvers.interface import Result  # noqa: E402
 from ltv_mpc.messages import Array  # noqa: E402
 from ltv_mpc.vehicle.flow import STATES, substeps  # noqa: E402
 from ltv_mpc.vehicle.parameters import Vehicle  # noqa: E402
-
-STAGE_S = STAGE_NS * 1e-9
 
 COMMANDS = slice(STATES, STATES + 2)
 

@@ -19,14 +19,12 @@ with warnings.catch_warnings():  # that parts of do-mpc which are not used here 
 
 from benchmarks.peers import symbolic
 from benchmarks.peers.peer import Peer
-from ltv_mpc.control.config import STAGE_NS, ResolvedConfig
-from ltv_mpc.control.problem_data import Constants
+from ltv_mpc.control.config import ResolvedConfig
+from ltv_mpc.control.problem_data import STAGE_S, Constants
 from ltv_mpc.control.solvers.interface import Result
 from ltv_mpc.vehicle.parameters import Vehicle
 
 ca.GlobalOptions.setNumpyMode(-1)  # do-mpc relies on what numpy's functions did with CasADi's values before 3.8
-
-STAGE_S = STAGE_NS * 1e-9
 
 
 class DoMpcIpopt(Peer):

@@ -37,10 +37,11 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from ltv_mpc.control.config import STAGE_NS, ResolvedConfig
+from ltv_mpc.control.config import ResolvedConfig
 from ltv_mpc.control.disturbance import DEFAULT_SD_MPS, NOISE_SHARE
 from ltv_mpc.control.disturbance_filter import SURGE_ERROR
 from ltv_mpc.control.linearisation import linearise, velocity_over_ground
+from ltv_mpc.control.problem_data import STAGE_S
 from ltv_mpc.control.scaling import characteristic_scales, state_scale, thrust_scale
 from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.flow import STATES
@@ -63,7 +64,6 @@ LARGEST_DB, LARGEST_S = 20.0, 2.0
 UNCONTROLLABLE = 1e-9
 """Size of a direction, in the scales of the QP, up to which it is rounding."""
 
-STAGE_S = STAGE_NS * 1e-9
 COMMANDS, CURRENT = slice(STATES, STATES + 2), slice(STATES + 2, STATES + 4)  # of z
 
 
