@@ -140,6 +140,8 @@ def zones_of(items: Iterable[Item], source: str) -> dict[str, Any]:
         elif command != RETURN_POINT:  # of a plane's fence: the vehicle keeps inside the zones instead
             raise ConfigError(source, where, "is no part of a fence")
         if command in (KEEP_IN, CIRCLE_IN):
+            if not math.isfinite(group):
+                raise ConfigError(source, f"{where} group", "must be a number, and finite", value=group)
             corners = places if command == KEEP_IN else _corners(places[0], size)
             try:
                 polygon = shapely.Polygon([(at["longitude_deg"], at["latitude_deg"]) for at in corners])

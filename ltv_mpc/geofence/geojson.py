@@ -20,6 +20,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple, TypeAlias
 
 import msgspec
+import numpy as np
 import shapely
 from shapely.affinity import scale
 
@@ -42,6 +43,9 @@ ORDER = "positions are [longitude, latitude]"
 
 GRID_DEG = 1e-8
 """Distance (degrees; 1 mm) below which corners of an area count as one: slivers are no zones."""
+
+MAX_DEG = 360.0
+"""Largest longitude and latitude of an area: of larger ones the union of its parts is not that."""
 
 AROUND = (1.05, 1.1)
 """Sizes of two boxes around the parts of an area, over that of the area: the keep-in zone, and what is kept out."""
@@ -212,6 +216,8 @@ def zones_around(groups: list[list[Any]], where: str, source: str) -> dict[str, 
         return {"keep_in": [places_of(groups[0][0].exterior)[:-1]]}
     areas = []
     for group in groups:
+        if not (np.abs(shapely.total_bounds(group)) <= MAX_DEG).all():
+            raise ConfigError(source, where, f"must be longitude and latitude in degrees, at most {MAX_DEG:g}")
         if not all(polygon.is_valid for polygon in group):
             raise ConfigError(source, where, "; ".join(map(shapely.is_valid_reason, group)))
         common = shapely.intersection_all(group)

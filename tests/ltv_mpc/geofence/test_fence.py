@@ -180,6 +180,10 @@ MANY = [[[5.32 + 0.001 * math.cos(k % 501), 60.39 + 0.001 * math.sin(k % 501)] f
             feature("keep_in", "Polygon", [4 * [[5.32, 60.39]]]),
             r"features\[2\].geometry.* at least 3 different positions",
         ),
+        (
+            feature("keep_in", "MultiPolygon", [[square()], [square(north_deg=1e300)]]),
+            r"features\[2\].geometry: must be longitude and latitude in degrees, at most 360",
+        ),
         (feature("keep_in", "Polygon", MANY), r"features\[2\].vertices.* at most 500"),
         (
             feature("keep_in", "Polygon", SWAPPED),
