@@ -17,6 +17,7 @@ from msgspec import structs
 
 from ltv_mpc.messages import Pair
 from ltv_mpc.references.geodesy import Origin, local
+from ltv_mpc.references.path import MAX_POINTS
 from ltv_mpc.references.shapes import SAME_M, Waypoint
 
 WAYPOINT, LOITER, LOITER_TURNS, LOITER_TIME, RETURN, LAND = 16, 17, 18, 19, 20, 21  # MAV_CMD
@@ -227,6 +228,8 @@ class _Writer:
         from_north, from_east = (north, east) if last is None else local(last, self._origin)
         bearing = math.atan2(from_east - east, from_north - north)
         corners = max(LEAST_CORNERS, math.ceil(math.pi / math.acos(max(1.0 - OFF_CIRCLE_M / r, 0.0))))
+        if len(self.stops) + corners * turns > MAX_POINTS:
+            raise ItemRefused(item, f"needs more than {MAX_POINTS:,} waypoints")
         count = max(math.ceil(corners * turns), 1)
         angles = bearing + math.copysign(2.0 * math.pi * turns, item.parameters[2]) * np.arange(count + 1) / count
         for k, angle in enumerate(angles.tolist()):
@@ -266,18 +269,18 @@ def _problem(item: Item, items: Sequence[Item], dives: bool) -> str:
         return f"frame {item.frame} must be global"
     if command in PLACES and dives and (item.frame not in RELATIVE or not item.altitude_m <= 0.0):
         return f"altitude {item.altitude_m:g} m in frame {item.frame} must be 0 or negative, relative to home"
-    if command == LOITER_TURNS and not (first > 0.0 and abs(third) > 0.0):
+    if command == LOITER_TURNS and not (0.0 < first < math.inf and 0.0 < abs(third) < math.inf):
         return "needs turns (param 1) and a radius (param 3)"
     if command == RETURN and not items[0].has_place:
         return "has no home"
-    if command == DELAY and not first > 0.0:
+    if command == DELAY and not 0.0 < first < math.inf:
         return "needs seconds (param 1)"
     if command == JUMP and not (first in {one.number for one in items[1:]} and 0.0 <= second < math.inf):
         return f"must go to an item from 1 to {items[-1].number}, and not for ever"
-    if command in TIMED and first < 0.0:
+    if command in TIMED and (first < 0.0 or first == math.inf):
         return f"cannot wait for {first:g} s (param 1)"
     if command == CHANGE_SPEED and first not in SPEED_TYPES:
         return f"type of speed {first:g} (param 1) must be 0 or 1: those of climb and descent are not driven"
-    if command == CHANGE_SPEED and not (second > 0.0 or second in (-1.0, -2.0)):
-        return f"speed {second:g} m/s must be above 0"
+    if command == CHANGE_SPEED and not (0.0 < second < math.inf or second in (-1.0, -2.0)):
+        return f"speed {second:g} m/s must be above 0, and finite"
     return ""
