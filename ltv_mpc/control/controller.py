@@ -452,7 +452,6 @@ class Controller:
                 self._estimates.motion_fit.update(estimate)
             estimate = self.observer.correct(estimate, self._prediction, self.sent_commands, learns=check.learns)
             self._prediction.coefficients[:] = self.observer.coefficients
-            self._lateral.held_arm[:] = self.observer.held_arm
             bounded, in_waves = self.observer.is_bounded, self.observer.in_waves
             self.vehicle_file_check.update(
                 estimate.t_ns, self._estimates.motion_fit, bounded=bounded, in_waves=in_waves

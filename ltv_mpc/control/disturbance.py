@@ -78,8 +78,8 @@ same way the bias of a profile is used.
 """
 
 HEADING_FREE_SHARE, SHIFT_TIME_S, SHIFT_WAY_M = 0.03, 15.0, 2.0
-"""Speed through the water, over the top speed, below which the heading is free; and time or way in which the estimated
-point is brought to its target.
+"""Speed through the water, over the top speed, below which the heading is free; and time or way in which another point
+of the vehicle is brought to the target.
 """
 
 VELOCITY_ERROR_TIME_S = 3.0
@@ -150,7 +150,7 @@ class DisturbanceObserver:
         top_mps = path_limits(vehicle).top_mps
         noise_mps = settings.noise_mps or NOISE_SHARE * top_mps
         self._noise = noise_mps**2, NOISE_RADPS**2, settings.max_mps or top_mps
-        self._free_mps = heading_free_mps(vehicle)
+        self._heading_free_mps = heading_free_mps(vehicle)
         self._file = np.array(vehicle.coefficients())
         port, starboard = (thruster.max_N * thruster.arm_m for thruster in vehicle.thrusters[:2])
         learns_model = settings.model_sd > 0.0
@@ -167,10 +167,8 @@ class DisturbanceObserver:
         self._belief: Belief = np.zeros(STATES), np.diag(sd**2)
         # Noise, as ``update_belief`` takes it; and the model's error (m/s^2): mean ahead, to starboard, largest.
         self._track = np.zeros((SIZE + 1, 3))
-        self._shift, self._given = 0j, 0.0  # part of the arm along the water, north + j east (m), and its share
-        self.held_arm = np.zeros(2)
-        """Part of the arm in use that turns with the heading (2,), forward and starboard (m): where that is free."""
         self._last: tuple[Estimate, Estimate] | None = None  # as it was given, and with filtered velocities
+        self._shift = 0j  # from the origin to the point that is held in its place, north + j east (m)
         # After each update, the oldest first: time of the estimate, belief.
         self._before: deque[tuple[int, Belief]] = deque(maxlen=DOUBTED_ESTIMATES)
         self.thrust_in_doubt = False
@@ -288,26 +286,26 @@ class DisturbanceObserver:
         return self._at_held_point(at_origin, estimate, interval_ns * 1e-9)
 
     def _at_held_point(self, at_origin: Estimate, estimate: Estimate, seconds: float) -> Estimate:
-        """Return the estimate of the origin, at the place of the point that is held.
+        """Return the estimate of the origin, moved by the shift to the point that is held in its place.
 
-        In still water that is the estimated point, and the plan turns with it (``held_arm``). In a current, and on a
-        path, the vehicle lies along its velocity w through the water, so the point lies from the origin by the arm in
-        that direction. If it followed the heading there, a point astern would go to the wrong side first.
+        In a current, and on a path, the vehicle lies along the velocity w through the water, so the shift becomes the
+        arm in that direction. If it followed the heading, it would swing with it, and the vehicle with the shift. In
+        still water the heading is the only direction, and a target that turns with the vehicle would make it turn for
+        ever: there the shift vanishes, and the origin is what is held.
         """
-        arm, moved = self.arm_in_use, self._waves_share * complex(*self._track[MOVED, :2])
-        length = complex(arm.forward_m, arm.starboard_m)
+        arm = complex(self.arm_in_use.forward_m, self.arm_in_use.starboard_m)
+        moved = self._waves_share * complex(*self._track[MOVED, :2])
+        if not arm and not self._shift and not moved:
+            return at_origin
         over_ground = complex(at_origin.velocity_north_mps, at_origin.velocity_east_mps)
         c = currents_at_depths(at_origin.current, np.array([estimate.depth_m or 0.0]))[0]
         w, bow = over_ground - complex(*c), complex(math.cos(estimate.heading_rad), math.sin(estimate.heading_rad))
-        square = abs(w) ** 2 + self._free_mps**2
-        along = (w * bow.conjugate()).real * w * length / square  # also with the stern first
+        # also with the stern first
+        along = (w * bow.conjugate()).real * w * arm / (abs(w) ** 2 + self._heading_free_mps**2)
         share = min(seconds * (1.0 / SHIFT_TIME_S + abs(over_ground) / SHIFT_WAY_M), 1.0)
         self._shift += share * (along - self._shift)
-        self._given += share * (abs(w) ** 2 / square - self._given)
-        self.held_arm[:] = (1.0 - self._given) * arm.forward_m, (1.0 - self._given) * arm.starboard_m
-        off = self._shift + (1.0 - self._given) * bow * length - moved
-        north_m, east_m = at_origin.north_m + off.real, at_origin.east_m + off.imag
-        return msgspec.structs.replace(at_origin, north_m=north_m, east_m=east_m) if off else at_origin
+        held = complex(at_origin.north_m, at_origin.east_m) + self._shift - moved
+        return msgspec.structs.replace(at_origin, north_m=held.real, east_m=held.imag)
 
     @property
     def arm_in_use(self) -> ReferencePoint:

@@ -53,10 +53,10 @@ BINDING = 1e-3
 MAX_WHY_CHARS = 200
 """Longest text of an exception in a plan."""
 
-REST_M, RESTING_MPS, RESTLESS = 0.09, 0.01, 2.0
-"""Distance from a point within which a vehicle rests in still water (m): closer, the error of its arm would make it
-drive to and fro. Sinking speed up to which it rests (m/s), and how soon a current that gives the heading ends that: the
-square of its speed, over ``heading_free_mps``, times this.
+REST_M, RESTING_MPS, RESTLESS = 0.09, 0.01, 2.5
+"""Distance from a point within which a vehicle rests in still water (m): closer, an error of its arm would make it turn
+for ever, or drive to and fro. Sinking speed up to which it rests (m/s), and how soon a current that gives the heading
+ends that: the square of its speed, over ``heading_free_mps``, times this.
 """
 
 
@@ -77,7 +77,7 @@ class LateralPlanner:
         Parameters
         ----------
         vehicle, config : as ``make_solver`` takes them.
-        constants : of the controller; its coefficients and arm may change.
+        constants : of the controller; its coefficients may change.
         make_solver : called now, and again after a solve that failed.
         stopwatch : is called with a stage's name when that stage of a cycle ends.
         terms : of a user, beside those of ``ocp/``.
@@ -100,11 +100,6 @@ class LateralPlanner:
     def target(self) -> Array:
         """Target at the knots (``ocp/terms.py``)."""
         return self._cycle.target
-
-    @property
-    def held_arm(self) -> Array:
-        """Arm (2,) to the point that is held (``ocp/terms.py``)."""
-        return self._cycle.constants.arm
 
     def set_current(self, estimate: Estimate, depth_m: Array) -> None:
         """Set the current along the horizon.
@@ -144,7 +139,7 @@ class LateralPlanner:
         if radius_m == 0.0 or plan is None:
             return
         stages = (start.t_ns - int(plan.t_ns[0])) / STAGE_NS
-        bring_within(plan.states, stages, self._cycle.constants, start.lateral, radius_m, self.target)
+        bring_within(plan.states, stages, self._cycle.constants.t, start.lateral, radius_m, self.target)
 
     def ramp(self, start: Start, why: str, goal: Array | None = None) -> LateralPlan:
         """Ramp the lateral thrusters to a goal at their slew limits.
@@ -181,9 +176,9 @@ class LateralPlanner:
             self._repack()
 
     def _repack(self) -> None:
-        config, learned = self._config, self._cycle.constants
+        config, learned = self._config, self._cycle.constants.p
         of = Constants.of(self._weakened_vehicle(), config.weights, config.knots, config.limits.state_bounds)
-        self._cycle.constants = of._replace(p=learned.p, arm=learned.arm)
+        self._cycle.constants = of._replace(p=learned)
         self.discard_solvers()
 
     def stop(self, start: Start, why: str) -> LateralPlan:

@@ -46,7 +46,6 @@ class Constants(NamedTuple):
     high_state: Array  # (2,) upper limits, inf where there is none
     t: Array  # (N+1,) knots in first stages: shooting_grid.py
     p: Array  # (21,) coefficients of the vehicle
-    arm: Array  # (2,) forward and starboard (m), from the vehicle's origin to the point that is held
     vertical: Array  # (3,) vertical thruster: smallest and largest thrust (N), slew limit (N/s)
     time_ratio: float  # the vehicle's time scale over that of the paper's vehicle: scaling.py
 
@@ -73,7 +72,6 @@ class Constants(NamedTuple):
             high_state=state_bounds[1],
             t=knots,
             p=np.array(vehicle.coefficients()),
-            arm=np.zeros(2),
             vertical=np.array([low[2], high[2], slew[2]]),
             time_ratio=time_ratio(vehicle),
         )

@@ -97,13 +97,14 @@ class Cycle:
         ----------
         problem : is overwritten.
         """
-        self._fill(self.constants, problem, self.lin, self.target)
+        self._fill(problem, self.lin, self.target)
         if problem is self.fenced:
             fence.fill(self.constants, self.lin.X, self.scene, self.fence_rows, problem)
         return problem
 
-    def _fill(self, o: Constants, problem: Problem, lin: Linearisation, target: Array) -> None:
+    def _fill(self, problem: Problem, lin: Linearisation, target: Array) -> None:
         """Fill in all but the rows of the fence."""
+        o = self.constants
         assembly.fill(o, lin, target, problem)
         if self.further is not None:
             scale = np.concatenate([o.state_scale, o.thrust_scale, o.thrust_scale])
@@ -146,6 +147,6 @@ class Cycle:
         """
         N, n, m, M = problem.sizes
         full, first = Problem.empty(N, n, m, M), self.plain.sizes[3]
-        self._fill(self.constants._replace(arm=np.ones(2)), full, lin, np.ones_like(self.target))
+        self._fill(full, lin, np.ones_like(self.target))
         full.G[1:, first:, :2], full.low[1:, first:], full.penalty[1:, first:] = 1.0, -1.0, 1.0
         return full

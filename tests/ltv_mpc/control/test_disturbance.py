@@ -308,20 +308,18 @@ def test_the_lever_arm_to_the_estimated_point_is_learned_while_the_vehicle_turns
 
 
 @pytest.mark.parametrize(
-    ("water", "heading", "yaw_radps", "held", "turns"),
+    ("water", "heading", "yaw_radps", "held"),
     [
-        ((0.0, 0.0), 0.5, 0.0, np.exp(0.5j), 1.0),  # the estimated point itself
-        ((0.0, 0.0), 0.5, 0.5, np.exp(0.5j), 1.0),  # also while it turns
-        ((-0.3, 0.0), 0.0, 0.0, 1.0, 0.0),  # in a current the bow points against it,
-        ((0.0, 0.3), 0.5 * np.pi, 0.0, 1j, 0.0),  # or the stern,
-        ((-0.3, 0.0), 0.5, 0.5, np.cos(0.5), 0.0),  # or nearly, and then the vehicle swings, but not the arm
-        ((-0.015, 0.0), 0.5, 0.0, 0.5 * (np.cos(0.5) + np.exp(0.5j)), 0.5),  # half of both at 0.03 of the top speed
+        ((0.0, 0.0), 0.5, 0.0, 0.0),  # the origin,
+        ((0.0, 0.0), 0.5, 0.5, 0.0),  # also while it turns
+        ((-0.3, 0.0), 0.0, 0.0, 1.0),  # in a current the whole arm: the bow points against it,
+        ((0.0, 0.3), 0.5 * np.pi, 0.0, 1j),  # or the stern,
+        ((-0.3, 0.0), 0.5, 0.5, np.cos(0.5)),  # or nearly, and then the vehicle swings, but not the arm
+        ((-0.015, 0.0), 0.0, 0.0, 0.5),  # half at 0.03 of the top speed
     ],
 )
-def test_the_estimated_point_is_held_along_the_water_and_in_still_water_along_the_bow(
-    water, heading, yaw_radps, held, turns
-):
-    """Along the bow the plan knows that the point turns with the vehicle (``held_arm``)."""
+def test_the_estimated_point_is_held_along_the_water_and_in_still_water_the_origin(water, heading, yaw_radps, held):
+    """A target that turns with the vehicle would make it turn for ever."""
     arm = np.array([0.2, -0.15])
     observer, commands, vehicle = DisturbanceObserver(DEFAULT, PAPER), SentCommands(PAPER), Prediction(PAPER)
     belief = observer.save()
@@ -339,7 +337,6 @@ def test_the_estimated_point_is_held_along_the_water_and_in_still_water_along_th
         corrected = observer.correct(given, vehicle, commands, learns=False)
     origin = complex(*arm) * (held - np.exp(1j * heading))
     np.testing.assert_allclose((corrected.north_m, corrected.east_m), (origin.real, origin.imag), atol=0.004)
-    np.testing.assert_allclose(observer.held_arm, turns * arm, atol=0.004)
 
 
 @pytest.mark.parametrize("period_s", [3.0, 5.0, 7.0])

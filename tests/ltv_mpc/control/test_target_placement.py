@@ -7,8 +7,6 @@ import math
 import numpy as np
 import pytest
 
-from ltv_mpc.control.config import Weights
-from ltv_mpc.control.problem_data import Constants
 from ltv_mpc.control.scaling import Scales
 from ltv_mpc.control.target_placement import FAR, LEAD, MIN_SPEED, bring_near, bring_within, lead_round
 from ltv_mpc.geofence.fence import Disc, Fence
@@ -16,7 +14,6 @@ from ltv_mpc.geofence.route import Router
 from ltv_mpc.geofence.zones import pack_zones
 from ltv_mpc.messages import Array
 from ltv_mpc.references import Place
-from tests.ltv_mpc.control.problems import PAPER
 
 SCALES = Scales(speed_mps=0.8, time_s=10.0)
 TIMES_S = np.arange(31.0)
@@ -94,15 +91,12 @@ def test_a_target_out_of_reach_is_brought_nearer_in_its_direction() -> None:
 
 
 def test_with_a_tolerance_a_target_is_the_point_of_its_disc_nearest_to_the_previous_plan() -> None:
-    """The plan began half a stage earlier at the origin and goes on from where the held point is: on an arm."""
+    """The plan began half a stage earlier at the origin and goes on from where the vehicle is."""
     states, t, state = np.zeros((4, 6)), np.arange(4.0), np.array([10.0, 20.0, 0.0, 0.0, 0.0, 0.0])
     states[:, :2] = np.outer(t, [3.0, -4.0])  # 5 m a stage
     table = np.zeros((4, 3))
     table[:-1, :2] = [[13.0, 17.0], [13.0, 26.0], [12.0, 11.0]]
-    o = Constants.of(PAPER, Weights(), t)
-    o.arm[0], states[:, 4] = 2.0, 0.5 * t
-    states[:, :2] -= 2.0 * np.column_stack([np.cos(0.5 * t), np.sin(0.5 * t)])
-    bring_within(states, 0.5, o, state, 2.0, table)
+    bring_within(states, 0.5, t, state, 2.0, table)
     np.testing.assert_allclose(table[0, :2], [13.0, 16.0], atol=1e-12)  # where the plan is
     off = np.array([16.0, 12.0]) - [13.0, 26.0]
     np.testing.assert_allclose(table[1, :2], [13.0, 26.0] + 2.0 * off / np.hypot(*off), atol=1e-12)

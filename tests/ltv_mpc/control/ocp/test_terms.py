@@ -82,25 +82,6 @@ def second_difference(term: str, lin: Linearisation, target: Array, z: Array, h:
     return (below + above - 2.0 * here) / h**2
 
 
-@pytest.mark.parametrize("term", ["position_per_m2", "terminal_position_per_m2"])
-@pytest.mark.parametrize("seed", range(5))
-def test_the_point_that_is_held_turns_with_the_vehicle(term: str, seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Value and slope with an arm; the curvature is exact where the point is on its target."""
-    arm = np.array([0.7, -0.4])
-    monkeypatch.setitem(globals(), "CONSTANTS", CONSTANTS._replace(arm=arm))
-    (lin, target), z, h = trajectory(seed), deviation(seed), 1e-5
-    turned = complex(*arm) * (np.exp(1j * lin.X[:, 4]) - np.exp(1j * lin.X[0, 4]))
-    places = lin.X[1:, :2] + np.column_stack([turned.real, turned.imag])[1:]
-    off, o = places - target[:N, :2], alone(term)
-    weights = o.weights[0] * np.diff(KNOTS) + o.weights[1] * (np.arange(N) == N - 1)
-    assert value(term, lin, target, 0.0 * z) == pytest.approx(0.5 * float(weights @ (off**2).sum(axis=1)))
-    slope = (value(term, lin, target, h * z) - value(term, lin, target, -h * z)) / (2.0 * h)
-    assert float(np.sum(model(term, lin, target).h * z)) == pytest.approx(slope, rel=1e-5)
-    target[:N, :2] = places
-    curvature = float(np.einsum("ki,kij,kj", z, model(term, lin, target).H, z))
-    assert curvature == pytest.approx(second_difference(term, lin, target, z, 1e-4), rel=1e-4)
-
-
 def test_the_model_of_the_terminal_velocity_is_exact_where_its_error_is_zero() -> None:
     lin, target = trajectory(3)
     target[N, :2] = velocity_over_ground(lin.X[N], lin.C[N])[0]
