@@ -243,8 +243,8 @@ def _heading_problems(vehicle: Vehicle, reference: Reference, current_mps: float
     ends = "bow or stern into the current (0 or 180 degrees)" if stern else "the bow into the current (0 degrees)"
     oblique_N, across_N = (sideways_drag_N(vehicle, current_mps, angle_deg) for angle_deg in (45.0, 90.0))
     yield (
-        f"heading_deg = {reference.heading_deg:g} is held in a current of {current_mps:.3g} m/s only with {ends}: at 45 "
-        f"degrees the water pushes sideways with {oblique_N:.1f} N, at 90 degrees with {across_N:.1f} N, and the "
+        f"heading_deg = {reference.heading_deg:g} is held in a current of {current_mps:.3g} m/s only with {ends}: at "
+        f"45 degrees the water pushes sideways with {oblique_N:.1f} N, at 90 degrees with {across_N:.1f} N, and the "
         "vehicle has no side thrust, so the bow turns and swings to hold the position"
     )
 
