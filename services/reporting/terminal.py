@@ -166,6 +166,8 @@ def line(view: LiveView, collector: Collector) -> str:
     words = [f"t {_seconds(view.t_ns)} s{end}", view.phase, *_motion(view, collector), *_localisation(view)]
     if view.applied is not None:
         words.append(f"thrust {' '.join(f'{x:z.0f}' for x in view.applied.thrust_N)} N  late {view.applied.plans_late}")
+    if view.timing is not None:
+        words.append(f"cycle {view.timing.compute_wall_ns / 1e6:.1f} ms")
     words += [f"{name} {sum(getattr(s, name) for s in view.status.values())}" for name in ("dropped", "rejected")]
     words += [f"{name} waits for {s.waiting_for}" for name, s in view.status.items() if s.waiting_for]
     return "  ".join(" ".join(part.split()) for part in words)

@@ -159,7 +159,7 @@ def _dense(line: Array, step_m: float) -> Array:
 def table(of: MissionCheck) -> str:
     """Format the result as text."""
     depth = "" if of.largest_depth_m is None else f", down to {of.largest_depth_m:g} m"
-    lines = [f"mission: {of.length_m:.0f} m in {of.duration_s:.0f} s{depth}, current {of.current_mps:g} m/s"]
+    lines = [f"mission: {of.length_m:.0f} m in {of.duration_s:.0f} s{depth}, current {of.current_mps:.3g} m/s"]
     rows = [
         ("drift while turning into the current", _metres(of.drift_m)),
         ("stopping distance with drift", _metres(of.stopping_m)),
@@ -206,7 +206,7 @@ def _width_problems(narrowest: Pair | None, needed_m: float, drift_m: float, cur
         width_m, way_m = narrowest
         yield (
             f"the corridor is {width_m:.1f} m wide at {way_m:.0f} m of the path: the vehicle needs {needed_m:.1f} m, "
-            f"hull and two margins and {drift_m:.1f} m of drift while it turns into {current_mps:g} m/s"
+            f"hull and two margins and {drift_m:.1f} m of drift while it turns into {current_mps:.3g} m/s"
         )
 
 
@@ -223,7 +223,7 @@ def _margin_problems(zones: list[ZoneCheck], stopping_m: float | None, speed_mps
 
 def _current_problems(vehicle: Vehicle, current_mps: float) -> Iterator[str]:
     """Yield why the vehicle cannot stay in the current, or can do so only without a reserve of thrust."""
-    limits, current = path_limits(vehicle), f"a current of {current_mps:g} m/s"
+    limits, current = path_limits(vehicle), f"a current of {current_mps:.3g} m/s"
     if current_mps >= limits.top_mps:
         yield f"{current} carries the vehicle away: full thrust holds {limits.top_mps:.2f} m/s"
     elif current_mps >= limits.cruise_mps:
@@ -243,8 +243,8 @@ def _heading_problems(vehicle: Vehicle, reference: Reference, current_mps: float
     ends = "bow or stern into the current (0 or 180 degrees)" if stern else "the bow into the current (0 degrees)"
     oblique_N, across_N = (sideways_drag_N(vehicle, current_mps, angle_deg) for angle_deg in (45.0, 90.0))
     yield (
-        f"heading_deg = {reference.heading_deg:g} is held in a current of {current_mps:g} m/s only with {ends}: at 45 "
-        f"degrees the water pushes sideways with {oblique_N:.1f} N, at 90 degrees with {across_N:.1f} N, and the "
+        f"heading_deg = {reference.heading_deg:g} is held in a current of {current_mps:.3g} m/s only with {ends}: at "
+        f"45 degrees the water pushes sideways with {oblique_N:.1f} N, at 90 degrees with {across_N:.1f} N, and the "
         "vehicle has no side thrust, so the bow turns and swings to hold the position"
     )
 
@@ -259,7 +259,7 @@ def _corridor_problems(
     if drift_m is None:
         yield f"{kept} cannot turn into a current"
     elif drift_m > half_width_m:
-        yield f"{kept} drifts {drift_m:.2f} m while it turns into {current_mps:g} m/s"
+        yield f"{kept} drifts {drift_m:.2f} m while it turns into {current_mps:.3g} m/s"
 
 
 def _depth_problems(largest: float | None, bottom_m: float | None, limits: MotionLimits) -> Iterator[str]:

@@ -162,6 +162,7 @@ def test_a_pipe_gets_lines_without_control_characters(monkeypatch: pytest.Monkey
     screen.close()
     first, second = file.getvalue().splitlines()
     assert "depth 1234.50 m" in first
+    assert "cycle 1234.5 ms" in first
     assert first.isprintable()
     assert "plant waits for sensors" in first
     assert second == "[bold]a phase"
