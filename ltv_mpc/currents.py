@@ -34,7 +34,13 @@ _MEANINGS = {
 
 
 def grid_depths(deepest_m: float, cell_m: float) -> Array:
-    """Return the depths (m) of a profile with equal cells: 0, h, 2h, ... to the first at or below ``deepest_m``."""
+    """Return the depths of a profile with equal cells (m): 0, h, 2h, ... to the first at or below the deepest one.
+
+    Parameters
+    ----------
+    deepest_m : depth that the profile reaches (m).
+    cell_m : height h of a cell (m).
+    """
     return cell_m * np.arange(math.ceil(deepest_m / cell_m - 1e-9) + 1, dtype=np.float64)
 
 

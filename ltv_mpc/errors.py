@@ -60,7 +60,13 @@ def format_value(value: object) -> str:
 
 
 def with_reason(state: str, why: str) -> str:
-    """Return a state with its reason, if there is one: "degraded: leak"."""
+    """Return a state with its reason, if there is one: "degraded: leak".
+
+    Parameters
+    ----------
+    state : name of the state.
+    why : the reason; empty if there is none.
+    """
     return f"{state}: {why}" if why else state
 
 

@@ -57,7 +57,7 @@ class ManagedProcess:
 
     def read_heartbeats(self) -> None:
         """Read the heartbeats that have arrived."""
-        with contextlib.suppress(BlockingIOError, ConnectionResetError):  # reset: it has died before it was let go on
+        with contextlib.suppress(BlockingIOError, ConnectionResetError):  # reset: it died while it still waited
             while notification := os.read(self.descriptors[0], NOTIFICATION_BYTES):
                 if notification == WATCHDOG:
                     self.hang_detector.beat(time.monotonic())

@@ -197,7 +197,8 @@ ELSEWHERE = "50.2 -5 0"
         (
             "m.waypoints",
             mission(f"3 16 0 0 0 0 {ELSEWHERE}", "3 178 1 0 -1 0 0 0 0", "3 21 0 0 0 0 0 0 0"),
-            "item 2 MAV_CMD_DO_CHANGE_SPEED (178) speed 0 m/s must be above 0, and finite; item 3 MAV_CMD_NAV_LAND (21)",
+            "item 2 MAV_CMD_DO_CHANGE_SPEED (178) speed 0 m/s must be above 0, and finite; "
+            "item 3 MAV_CMD_NAV_LAND (21)",
         ),
         ("m.waypoints", mission("3 93 5 0 0 0 0 0 0"), "item 1 MAV_CMD_NAV_DELAY (93) has no place before it"),
         ("m.waypoints", "QGC WPL 120\n", "line 1 = "),
