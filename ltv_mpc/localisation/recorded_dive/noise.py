@@ -25,8 +25,8 @@ from ltv_mpc.messages import Array
 MIN_SAMPLES = 30
 """Smallest number of samples for an estimate of sigma."""
 
-RESOLUTION_MPS = 1e-3
-"""Resolution of velocities in a file (m/s)."""
+SAME_MPS = 1e-5
+"""Difference below which velocities of a file are the same (m/s): a hundredth of its resolution."""
 
 NOISE_AT_SEA = 2.0
 """Noise relative to the data sheet's if it cannot be estimated: a vehicle moves while it pings."""
@@ -92,4 +92,4 @@ def beam_sd(ensembles: Sequence[BeamEnsemble], min_good_share: float) -> Array:
 def _sd(e: Array) -> float | None:
     """Return sigma of one beam from samples of e, or None if there are too few that differ."""
     width = float(np.quantile(np.abs(e - np.median(e)), 0.9)) if len(e) >= MIN_SAMPLES else 0.0
-    return width / 1.645 / 2 if width >= RESOLUTION_MPS else None
+    return width / 1.645 / 2 if width >= SAME_MPS else None
