@@ -11,7 +11,7 @@ const Plots = (() => {
   const SIZES = { cross: 11, point: 4, dot: 9, ring: 9 };
   const MARK = "#a0522d"; // the same colour as in palette.py
   const NO_DATA = "no data yet"; // the same text as in description.py
-  const CONFIG = { displayModeBar: false, responsive: true, displaylogo: false };
+  const CONFIG = { displayModeBar: false, displaylogo: false };
   const GAP_S = 1, GAP_STEPS = 5; // a line ends where data are missing for longer than both
 
   const darkness = window.matchMedia("(prefers-color-scheme: dark)");
@@ -235,6 +235,7 @@ const Plots = (() => {
     const made = layout(plot, traces, timeRange, { ...view, follow: panel.follow, empty });
     const events = plot.x.time && !several && runs[0].marks.length > 0;
     showLegend(panel.legend, several ? comparedChips(plot) : chips(plot, traces, events, runs[0]));
+    Object.assign(made, size(panel.place)); // by itself plotly keeps an old size if it is resized while it draws
     return Plotly.react(panel.place, events ? traces.concat(marks(runs[0])) : traces, made, CONFIG);
   }
 
@@ -337,6 +338,9 @@ const Plots = (() => {
     return made;
   }
 
+  // Return the size of a place; nothing while it is hidden.
+  const size = (place) => (place.clientWidth && place.clientHeight ? { width: place.clientWidth, height: place.clientHeight } : {});
+
   // Add a panel to `parent` and return it: {section, legend, place, follow, of}. A title that is not that of the plot
   // names the run that it shows, in files of the plot too.
   function panelOf(parent, plot, title, id) {
@@ -351,7 +355,7 @@ const Plots = (() => {
     panel.head.append(element("h3", title), menu(panel, plot));
     section.append(panel.head, panel.legend, panel.place);
     // A legend that needs another line leaves the plot less height.
-    new ResizeObserver(() => { if (panel.place.data) Plotly.Plots.resize(panel.place); }).observe(panel.place);
+    new ResizeObserver(() => { if (panel.place.data) Plotly.relayout(panel.place, size(panel.place)); }).observe(panel.place);
     parent.append(section);
     return panel;
   }
