@@ -291,7 +291,6 @@ def test_the_command_that_runs_it_again_is_copied_or_selected(browser, live, rep
             assert page.evaluate("getSelection().toString()") == "ltv-mpc sim one"
 
 
-@pytest.mark.xfail(strict=False, reason="plotly may keep an old size or colour if a drawing overtakes another")
 def test_after_the_end_of_a_run_the_page_says_so_and_keeps_the_report(browser, live, reports) -> None:
     with tab(browser, SCREEN, own=live.url) as page:
         page.goto(f"{live.url}#{live.token}")

@@ -136,7 +136,7 @@
   // --- display ------------------------------------------------------------------------------------------------------
 
   // Draw one plot at a time, so that the page stays responsive; those outside the window less often.
-  function draw() {
+  async function draw() {
     const began_ms = performance.now();
     const idle = plots.length === 0 || document.hidden || (!dirty && next === 0);
     if (!idle) {
@@ -150,7 +150,7 @@
       if (next < plots.length) {
         const plot = plots[next];
         const view = { at_s: past && past.status.t_s, hides: status?.simulated === false };
-        Plots.draw(panels.get(plot.name), plot, [shown(plot)], Plots.times([run]), view);
+        await Plots.draw(panels.get(plot.name), plot, [shown(plot)], Plots.times([run]), view).catch(console.error);
       }
       next += 1;
       if (next >= plots.length) {

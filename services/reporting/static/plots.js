@@ -235,8 +235,8 @@ const Plots = (() => {
     const made = layout(plot, traces, timeRange, { ...view, follow: panel.follow, empty });
     const events = plot.x.time && !several && runs[0].marks.length > 0;
     showLegend(panel.legend, several ? comparedChips(plot) : chips(plot, traces, events, runs[0]));
-    Object.assign(made, size(panel.place)); // by itself plotly keeps an old size if it is resized while it draws
-    return Plotly.react(panel.place, events ? traces.concat(marks(runs[0])) : traces, made, CONFIG);
+    const shown = events ? traces.concat(marks(runs[0])) : traces;
+    return inTurn(panel.place, () => Plotly.react(panel.place, shown, { ...made, ...size(panel.place) }, CONFIG));
   }
 
   // Return the range of both axes of a plot over several runs, to draw each by itself on equal axes.
@@ -341,6 +341,20 @@ const Plots = (() => {
   // Return the size of a place; nothing while it is hidden.
   const size = (place) => (place.clientWidth && place.clientHeight ? { width: place.clientWidth, height: place.clientHeight } : {});
 
+  // Draw at a place after what is drawn there now: of two drawings that overlap, plotly keeps the size or the colours of
+  // the older one.
+  function inTurn(place, drawing) {
+    place.drawn = (place.drawn || Promise.resolve()).then(drawing, drawing);
+    return place.drawn;
+  }
+
+  // Give what is drawn at a place the size that the place has now.
+  function fit(place) {
+    const { width, height } = size(place);
+    if (!place.data || !width || (place.layout.width === width && place.layout.height === height)) return null;
+    return Plotly.relayout(place, { width, height });
+  }
+
   // Add a panel to `parent` and return it: {section, legend, place, follow, of}. A title that is not that of the plot
   // names the run that it shows, in files of the plot too.
   function panelOf(parent, plot, title, id) {
@@ -355,7 +369,7 @@ const Plots = (() => {
     panel.head.append(element("h3", title), menu(panel, plot));
     section.append(panel.head, panel.legend, panel.place);
     // A legend that needs another line leaves the plot less height.
-    new ResizeObserver(() => { if (panel.place.data) Plotly.relayout(panel.place, size(panel.place)); }).observe(panel.place);
+    new ResizeObserver(() => inTurn(panel.place, () => fit(panel.place))).observe(panel.place);
     parent.append(section);
     return panel;
   }
