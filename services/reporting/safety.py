@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import enum
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import msgspec
 
@@ -42,14 +42,25 @@ class ProcessFigures(msgspec.Struct, frozen=True, kw_only=True):
     lost: int  # messages dropped or rejected
 
 
+class _States(Counter[str]):
+    """Number of times that each state was seen, and the newest one."""
+
+    newest = ""
+
+    def add(self, state: str) -> None:
+        """Count a state."""
+        self[state] += 1
+        self.newest = state
+
+
 class RunSafety:
     """Counter of what the messages of a run say about its safety. Give it every plan, filter report and status."""
 
     def __init__(self) -> None:
-        self._health: list[str] = []  # of each cycle
+        self._health = _States()  # of the cycles
         self._authority: Counter[str] = Counter()
         self._origin: Counter[str] = Counter()
-        self._filter: list[str] = []  # of each report
+        self._filter = _States()  # of the reports
         self._nearest: tuple[float, str] | None = None  # least planned clearance (m), and the zone
         self._entered = 0  # cycles that began in a zone or margin
         self._lacking = 0  # plans that lack a required clearance
@@ -60,12 +71,12 @@ class RunSafety:
         """Count a message; ``epoch`` is the one of its sender."""
         match message:
             case Plan():
-                self._health.append(with_reason(message.health.value, message.health_why))
+                self._health.add(with_reason(message.health.value, message.health_why))
                 self._authority[message.authority.value] += 1
                 self._origin[message.origin.value] += 1
                 self._add_fence(message)
             case LocalisationReport():
-                self._filter.append(with_reason(message.status.value, message.why))
+                self._filter.add(with_reason(message.status.value, message.why))
             case NodeStatus():
                 self._add_status(message, epoch)
 
@@ -130,17 +141,17 @@ def _shares(counts: Mapping[str, int]) -> str:
     return ", ".join(f"{count} {value}" for value, count in counts.items())
 
 
-def _consistency(name: str, states: Sequence[str], nominal: str, unit: str) -> Fact:
+def _consistency(name: str, states: _States, nominal: str, unit: str) -> Fact:
     """Return in how many cycles or reports a state was nominal, and what it was most often otherwise.
 
     It is bad if it was not nominal at the end or in more than ``SELDOM`` of all: a start may wait for its inputs.
     """
-    others = Counter(state for state in states if state != nominal)
-    if not states:
+    total, good = states.total(), states[nominal]
+    if not total:
         return Fact(name=name, text="")
-    if not others:
-        return Fact(name=name, text=f"{nominal} in all {len(states)} {unit}", mood=Mood.GOOD)
-    good, ((most_frequent, _),) = len(states) - others.total(), others.most_common(1)
-    bad = states[-1] != nominal or others.total() > SELDOM * len(states)
-    text = f"{nominal} in {good} of {len(states)} {unit}, otherwise most often {most_frequent}"
+    if good == total:
+        return Fact(name=name, text=f"{nominal} in all {total} {unit}", mood=Mood.GOOD)
+    most_frequent = max((state for state in states if state != nominal), key=states.__getitem__)
+    bad = states.newest != nominal or total - good > SELDOM * total
+    text = f"{nominal} in {good} of {total} {unit}, otherwise most often {most_frequent}"
     return Fact(name=name, text=text, mood=Mood.BAD if bad else Mood.NEUTRAL)
