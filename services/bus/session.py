@@ -266,8 +266,8 @@ def open_session(options: BusOptions, *, stop: Callable[[], bool], say: Callable
     Raises ``BusError`` if the session cannot be opened, and ``Stopped`` if ``stop`` returns True meanwhile.
     """
     config = configuration(options)
-    if options.certs is None:
-        os.environ.setdefault(RUNTIME, ROUTER_THREADS if options.acts_as == "router" else THREADS)
+    if options.certs is None and os.environ.get(RUNTIME) in (None, THREADS, ROUTER_THREADS):  # perhaps the parent's
+        os.environ[RUNTIME] = ROUTER_THREADS if options.acts_as == "router" else THREADS
     result: list[zenoh.Session | BaseException] = []
 
     def attempt() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import os
 import socket
 import subprocess
 import sys
@@ -17,7 +18,15 @@ import pytest
 import zenoh
 
 from services.bus.options import BusOptions
-from services.bus.session import BusError, configuration, open_session, waiting_for_router
+from services.bus.session import (
+    ROUTER_THREADS,
+    RUNTIME,
+    THREADS,
+    BusError,
+    configuration,
+    open_session,
+    waiting_for_router,
+)
 from services.runtime.stopping import StopRequest
 
 BLOCKING = {"congestion_control": zenoh.CongestionControl.BLOCK}
@@ -86,10 +95,22 @@ with (
         names = [task.read_text() for task in Path("/proc/self/task").glob("*/comm")]
     print(*names, sep="")
 """
-    ended = subprocess.run([sys.executable, "-c", two_sessions], capture_output=True, text=True, timeout=60, check=True)
+    environment = os.environ | {RUNTIME: THREADS}  # of a parent that is no router
+    ended = subprocess.run(
+        [sys.executable, "-c", two_sessions], env=environment, capture_output=True, text=True, timeout=60, check=True
+    )
     names = ended.stdout.split()
     assert sum(name.startswith("app-") for name in names) >= 3  # of a router: closing a link may block one
     assert [name for name in names if name.startswith(("acc-", "net-", "rx-", "tx-"))] == []
+
+
+@pytest.mark.parametrize(("inherited", "used"), [(THREADS, ROUTER_THREADS), ("()", "()")])
+def test_a_router_has_its_own_threads_whatever_its_parent_had_but_not_what_a_user_has_set(
+    inherited: str, used: str, free_port: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(RUNTIME, inherited)
+    with open_session(BusOptions(listen=(f"tcp/127.0.0.1:{free_port}",)), stop=StopRequest(), say=print):
+        assert os.environ[RUNTIME] == used
 
 
 def test_what_may_not_be_dropped_holds_up_other_links_only_for_a_moment(free_port: int) -> None:
