@@ -250,12 +250,17 @@ def test_a_datum_is_that_of_wgs_84_or_nearly_so_with_a_note_or_refused_by_its_na
     assert all(note and note in said for said in notes)
 
 
-def test_repeated_vertices_and_a_closing_position_of_another_height_are_read() -> None:
-    ring = [[*position, 2.0] for position in square()]
+@pytest.mark.parametrize("further", [[2.0], [2.0, 17.5], [2.0, 17.5, 3.0]])
+def test_repeated_vertices_and_heights_and_measures_of_positions_are_read(further: list[float]) -> None:
+    """RFC 7946: what further numbers mean is not defined, and parsers may ignore them."""
+    ring, notes = [[*position, *further] for position in square()], list[str]()
     ring[-1][2] = 7.0
     ring.insert(2, ring[1])
-    (zone,), (plain,) = zones_of("keep_in", ring).zones(), zones_of("keep_in", square()).zones()
+    (zone,) = Fence.from_geojson(collection(feature("keep_in", "Polygon", [ring])), "f.geojson", notes).zones()
+    (plain,) = zones_of("keep_in", square()).zones()
     np.testing.assert_array_equal(zone.vertices_m, plain.vertices_m)
+    said = ["f.geojson: features[0]: numbers of its positions behind the third are not used"]
+    assert notes == (said if len(further) > 1 else [])
 
 
 def allowed(fence: Fence) -> Any:

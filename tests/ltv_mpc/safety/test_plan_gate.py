@@ -35,6 +35,8 @@ def test_a_plan_that_starts_at_the_command_in_force_is_followed_exactly():
     assert gate.offer(followed, 1, 0, 0) is PlanVerdict.ACCEPTED
     for t in range(0, 900_000_001, STEP_NS):
         np.testing.assert_allclose(gate.command_at(t), followed.thrust_at(t), rtol=0, atol=1e-12)
+    with pytest.raises(ValueError, match="is before"):
+        gate.command_at(0)
 
 
 def test_the_plan_before_stays_in_force_until_the_next_one_starts():
@@ -55,26 +57,6 @@ def test_a_future_plan_is_replaced_by_a_newer_one_that_starts_no_later():
     assert commands(gate, STEP_NS, 1 * S - STEP_NS)[-1].tolist() == [5.0, 5.0, 5.0]
     assert commands(gate, 1 * S, 2 * S)[-1].tolist() == [10.0, 10.0, 10.0]
     assert commands(gate, 2 * S, 4 * S)[-1].tolist() == [10.0, 10.0, 10.0]
-
-
-def test_commands_at_many_times_are_those_at_each_in_turn():
-    """Plans start, and the last one ends, between these times."""
-    one, many = PlanGate(VEHICLE), PlanGate(VEHICLE)
-    offered = [
-        plan(0, [[0, 0, 0], [30, -30, 20], [60, -30, 20], [31, 0, 50]]),
-        plan(455_000_000, [[45, -30, 20], [45, 0, 10], [20, 0, 10]]),
-        plan(930_000_000, [[20, 5, 10], [20, 5, 10]]),
-    ]
-    for gate in (one, many):
-        assert gate.command_at(0) == (0.0, 0.0, 0.0)
-        assert [gate.offer(x, 1, i, 0) for i, x in enumerate(offered)] == [PlanVerdict.ACCEPTED] * 3
-    times = [int(t) for t in np.cumsum(np.random.default_rng(1).integers(0, 2 * STEP_NS, 250))]
-    for first in range(0, 250, 50):
-        chunk = times[first : first + 50]
-        np.testing.assert_array_equal(many.commands_at(chunk), [one.command_at(t) for t in chunk])
-    assert times[-1] > 2 * S
-    with pytest.raises(ValueError, match="is before"):
-        many.commands_at([times[-2], times[-1]])
 
 
 def test_after_its_last_knot_a_plan_ramps_to_zero_and_to_the_vertical_failsafe():
