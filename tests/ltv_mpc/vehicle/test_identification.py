@@ -10,6 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from ltv_mpc import Vehicle
+from ltv_mpc.vehicle.dynamics import rates
 from ltv_mpc.vehicle.identification import CannotIdentify, Identification, NotEnoughMotion, identify, with_coefficients
 from ltv_mpc.vehicle.reference_point import ReferencePoint
 from ltv_mpc.vehicle.shooting_fit import Motion, ShootingFit, segments
@@ -50,27 +51,17 @@ def moved(seconds: float, seed: int, *, commands=None, sd=(0.0, 0.0, 0.0), true=
         at = np.ravel(np.column_stack([knots, knots + 3.5]))
         commands = np.column_stack([np.interp(t, at, np.repeat(level[:, i], 2)) for i in range(2)])
 
-    def rates(now: float, y: np.ndarray) -> list[float]:
-        u, v, r, F1, F2, _ = y
-        k = true["thrust"]
-        u1, u2 = (np.interp(now, t, commands[:, i]) for i in range(2))
-        Mx, My, Iz = true["mass_surge"], true["mass_sway"], true["inertia_yaw"]
-        return [
-            (k * (F1 + F2) - (true["linear_surge"] + true["quadratic_surge"] * abs(u)) * u + My * v * r) / Mx,
-            (-(true["linear_sway"] + true["quadratic_sway"] * abs(v)) * v - Mx * u * r) / My,
-            (
-                k * (F1 * true["arm_port"] - F2 * true["arm_starboard"])
-                - (true["linear_yaw"] + true["quadratic_yaw"] * abs(r)) * r
-                + (Mx - My) * u * v
-            )
-            / Iz,
-            (u1 - F1) / true["lag_port"],
-            (u2 - F2) / true["lag_starboard"],
-            r,
-        ]
+    p = BELIEVED.coefficients()
+    p = p._replace(**{name: value for name, value in true.items() if name in p._fields})
+    lag, scale = np.array([p.lag_port, p.lag_starboard]), true["thrust"]
+
+    def slopes(now: float, y: np.ndarray) -> list[float]:
+        command = np.array([np.interp(now, t, commands[:, i]) for i in range(2)])
+        _, _, du, dv, _, dr = rates(y[0], y[1], 0.0, y[2], *(scale * y[3:5]), 0.0, 0.0, 0.0, 0.0, p)
+        return [du, dv, dr, *((command - y[3:5]) / lag), y[2]]
 
     start = [0.0, 0.0, 0.0, *commands[0], 0.0]
-    y = solve_ivp(rates, (0.0, t[-1]), start, t_eval=t, rtol=1e-8, atol=1e-9, max_step=H).y.T
+    y = solve_ivp(slopes, (0.0, t[-1]), start, t_eval=t, rtol=1e-8, atol=1e-9, max_step=H).y.T
     cos, sin = np.cos(y[:, 5]), np.sin(y[:, 5])
     north, east = current
     over_ground = y[:, :3] + np.column_stack([cos * north + sin * east, cos * east - sin * north, 0.0 * t])
@@ -225,9 +216,11 @@ def test_a_log_of_anything_gives_finite_coefficients_or_one_error(vehicle: Vehic
     with_coefficients(vehicle, found.coefficients)
 
 
-def test_a_vehicle_at_rest_excites_nothing(clean: Motion) -> None:
+def test_a_vehicle_at_rest_and_a_run_that_is_too_short_show_nothing(clean: Motion) -> None:
     with pytest.raises(NotEnoughMotion, match="are constant"):
         identify(ARMS, wild(clean)["at rest"])
+    with pytest.raises(NotEnoughMotion, match="at least 5 are needed"):
+        identify(ARMS, Motion(*(x if x is None or len(x) == 3 else x[:200] for x in clean)))
 
 
 def swum(seed: int, sd: tuple[float, float, float], *, largest_N: float = 40.0, seconds: float = 150.0) -> Motion:
@@ -359,12 +352,6 @@ def test_unexcited_coefficients_are_reported_and_keep_their_value() -> None:
     kept = with_coefficients(wrong, found)
     assert (kept.sway, kept.yaw, kept.reference_point) == (wrong.sway, wrong.yaw, wrong.reference_point)
     assert kept.surge.linear_damping_kgps == wrong.surge.linear_damping_kgps
-
-
-def test_a_run_that_is_too_short_raises_an_error(clean: Motion) -> None:
-    short = Motion(*(x if x is None or len(x) == 3 else x[:200] for x in clean))
-    with pytest.raises(NotEnoughMotion, match="at least 5 are needed"):
-        identify(ARMS, short)
 
 
 def test_segments_end_at_gaps() -> None:
