@@ -120,7 +120,7 @@ def features_of(text: str | bytes, source: str, notes: list[str]) -> tuple[dict[
             properties = dict(feature.get("properties") or {})
             coordinates = _without_measures(geometry["coordinates"])
             parts = msgspec.json.encode({"type": geometry["type"], "coordinates": coordinates})
-        except (AttributeError, TypeError, KeyError, ValueError):
+        except (AttributeError, TypeError, KeyError, ValueError, RecursionError):
             raise ConfigError(source, where, "must be a Feature with properties and a geometry") from None
         if coordinates != geometry["coordinates"]:
             notes.append(f"{source}: {where}: numbers of its positions behind the third are not used")

@@ -211,6 +211,7 @@ def test_an_error_about_a_zone_of_geojson_names_the_feature(third: object, messa
     [
         ("{", "is not a JSON object"),
         ('{"type": "Feature"}', r"features\[0\]: must be a Feature with properties and a geometry"),
+        (f'{{"type": "Polygon", "coordinates": {900 * "["}{900 * "]"}}}', r"features\[0\]: must be a Feature"),
         (collection(feature("keep_in", "Polygon", [[[5, 60], ["6", 60], [5, 61], [5, 60]]])), "must be number"),
         (
             collection(feature("keep_in", "Polygon"), origin={"latitude_deg": 95.0, "longitude_deg": 5.0}),
