@@ -12,16 +12,7 @@ from ltv_mpc import references
 from ltv_mpc.messages import ReferenceStart
 from ltv_mpc.references import Circle, Line, Place, Waypoint, Waypoints
 from ltv_mpc.references.limits import ACCELERATION_SHARE, SUSTAINED_SHARE, path_limits
-from ltv_mpc.references.schedule import (
-    DEPTH,
-    EAST,
-    NORTH,
-    TIME,
-    WAY,
-    feasible_rate,
-    fill_targets,
-    target_at,
-)
+from ltv_mpc.references.schedule import DEPTH, EAST, NORTH, TIME, WAY, feasible_rate, fill_targets, target_at
 from ltv_mpc.vehicle.dynamics import rates
 from ltv_mpc.vehicle.parameters import Vehicle
 

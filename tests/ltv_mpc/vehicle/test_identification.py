@@ -343,7 +343,7 @@ def test_unexcited_coefficients_are_reported_and_keep_their_value() -> None:
     wrong = msgspec.structs.replace(
         BELIEVED, surge=msgspec.structs.replace(BELIEVED.surge, linear_damping_kgps=12.0, quadratic_damping_kgpm=90.0)
     )
-    found = identify(wrong, moved(60.0, 5, commands=both, sd=SD, true=even)).coefficients
+    found = identify(wrong, moved(60.0, 3, commands=both, sd=SD, true=even)).coefficients
     excited = {one.name for one in found if one.excited}
     assert "mass_surge" in excited
     turning = {name for name in TRUE if name.endswith(("sway", "yaw")) or name.startswith("reference")}
