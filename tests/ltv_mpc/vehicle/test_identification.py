@@ -15,6 +15,7 @@ from ltv_mpc.vehicle.identification import CannotIdentify, Identification, NotEn
 from ltv_mpc.vehicle.reference_point import ReferencePoint
 from ltv_mpc.vehicle.shooting_fit import Motion, ShootingFit, segments
 from tests.foreign_plant import plant
+from tests.ltv_mpc.vehicles import changed
 
 BELIEVED = Vehicle.load("paper")
 TRUE = {
@@ -82,14 +83,7 @@ def values(of: Identification) -> dict[str, float]:
     return {one.name: one.value for one in of.coefficients}
 
 
-ARMS = msgspec.structs.replace(
-    BELIEVED,
-    thruster=msgspec.structs.replace(
-        BELIEVED.thruster,
-        port=msgspec.structs.replace(BELIEVED.thruster.port, arm_m=0.24),
-        starboard=msgspec.structs.replace(BELIEVED.thruster.starboard, arm_m=0.16),
-    ),
-)
+ARMS = changed(BELIEVED, {"thruster.port.arm_m": 0.24, "thruster.starboard.arm_m": 0.16})
 """Vehicle file with correct arms, and wrong masses and damping."""
 
 
@@ -176,8 +170,9 @@ def test_no_mass_is_below_the_dry_mass(noisy: Motion) -> None:
 
 
 def test_a_file_with_a_mass_below_the_dry_mass_is_a_start_too(clean: Motion) -> None:
-    light = msgspec.structs.replace(ARMS, surge=msgspec.structs.replace(ARMS.surge, mass_kg=100.0))
-    assert values(identify(light, clean))["mass_surge"] == pytest.approx(420.0, rel=0.03)
+    assert values(identify(changed(ARMS, {"surge.mass_kg": 100.0}), clean))["mass_surge"] == pytest.approx(
+        420.0, rel=0.03
+    )
 
 
 def wild(motion: Motion) -> dict[str, Motion]:
@@ -197,7 +192,7 @@ def wild(motion: Motion) -> dict[str, Motion]:
     }
 
 
-LIGHT = msgspec.structs.replace(ARMS, yaw=msgspec.structs.replace(ARMS.yaw, inertia_kgm2=1.0))
+LIGHT = changed(ARMS, {"yaw.inertia_kgm2": 1.0})
 """Vehicle file whose yaw damping is faster than a step of the integration."""
 
 
@@ -277,8 +272,7 @@ def test_a_hull_of_another_structure_is_reported_and_the_intervals_contain_its_t
 def test_purely_linear_drag_is_within_the_structure() -> None:
     linear = {**TRUE, "quadratic_surge": 0.0, "quadratic_sway": 0.0, "quadratic_yaw": 0.0}
     linear |= {"linear_surge": 150.0, "linear_sway": 220.0, "linear_yaw": 70.0}
-    file = msgspec.structs.replace(ARMS, surge=msgspec.structs.replace(ARMS.surge, quadratic_damping_kgpm=0.0))
-    found = identify(file, moved(90.0, 3, sd=SD, true=linear))
+    found = identify(changed(ARMS, {"surge.quadratic_damping_kgpm": 0.0}), moved(90.0, 3, sd=SD, true=linear))
     assert found.warnings == []
     assert_true(found, linear)
 
@@ -340,9 +334,7 @@ def test_unexcited_coefficients_are_reported_and_keep_their_value() -> None:
     t = np.arange(0.0, 60.0, H)
     both = np.repeat((20.0 + 20.0 * np.sign(np.sin(0.4 * t)))[:, None], 2, axis=1)
     even = {**TRUE, "arm_port": 0.2, "arm_starboard": 0.2, "lag_starboard": 0.2}
-    wrong = msgspec.structs.replace(
-        BELIEVED, surge=msgspec.structs.replace(BELIEVED.surge, linear_damping_kgps=12.0, quadratic_damping_kgpm=90.0)
-    )
+    wrong = changed(BELIEVED, {"surge.linear_damping_kgps": 12.0, "surge.quadratic_damping_kgpm": 90.0})
     found = identify(wrong, moved(60.0, 3, commands=both, sd=SD, true=even)).coefficients
     excited = {one.name for one in found if one.excited}
     assert "mass_surge" in excited
