@@ -14,7 +14,6 @@ from pathlib import Path
 import pytest
 
 from ltv_mpc.errors import ConfigError
-from services.tools.batch import executor
 from services.tools.batch.executor import MAX_LOSSES, WorkerLost, in_order, run_each
 from tests.waiting import until
 
@@ -95,10 +94,7 @@ def is_alive(pid: int) -> bool:
         return False
 
 
-def test_told_to_stop_it_ends_what_runs_and_kills_what_ignores_that(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(executor, "TERM_S", 0.5)
+def test_told_to_stop_it_ends_what_runs_and_kills_what_ignores_that(tmp_path: Path) -> None:
     before = set(multiprocessing.active_children())
     work = partial(write_pid_and_sleep, tmp_path)
     assert list(run_each(work, [0, 1, 2], workers=2, stop=lambda: len(list(tmp_path.glob("*.pid"))) == 2)) == []
