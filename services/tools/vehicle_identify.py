@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple, TypeAlias, TypeVar
+from typing import TypeAlias, TypeVar
 
 import msgspec
 import numpy as np
@@ -21,7 +21,6 @@ from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Applied, Array, Authority, Estimate, Plan, Times
 from ltv_mpc.vehicle.identification import (
     CannotIdentify,
-    Identification,
     IdentifiedCoefficient,
     Known,
     KnownYaw,
@@ -73,14 +72,6 @@ class IdentifyReport(msgspec.Struct, frozen=True, kw_only=True):
     warnings: list[str]  # what contradicts the model or the file
 
 
-class _Recorded(NamedTuple):
-    """Messages of a recording that the identification uses."""
-
-    estimates: list[Estimate]
-    applied: list[Applied]
-    plans: list[tuple[int, Plan]]  # with the time of publication
-
-
 def open_run(run: str) -> Path:
     """Return the recording of a run (its folder, its run.mcap or ``latest``), or the path of an autopilot's log.
 
@@ -101,45 +92,43 @@ def load_vehicle(path: Path, name: str | None) -> Vehicle:
     return Vehicle.load(name or str(RunFolder(path.parent).config("vehicle")))
 
 
-def identify_run(
-    path: Path, vehicle: Vehicle, known: Known, known_yaw: KnownYaw
-) -> tuple[IdentifyReport, Identification]:
+def identify_run(path: Path, vehicle: Vehicle, known: Known, known_yaw: KnownYaw) -> IdentifyReport:
     """Identify the vehicle from a recording or a log. Raises ``ConfigError`` if no vehicle can be fitted to it."""
-    log = autopilot_log.read(path, vehicle) if is_log(path) else None
-    recorded = _recorded(path) if log is None else _Recorded(log.estimates, [], [])
-    estimates = [vehicle.reference_point.to_origin(estimate) for estimate in recorded.estimates]
+    notes, to_origin = list[str](), vehicle.reference_point.to_origin
     try:
-        if log is None:
-            motion = motion_of(vehicle, estimates, recorded.applied, recorded.plans)
-        else:
+        if is_log(path):
+            log = autopilot_log.read(path, vehicle)
+            estimates, notes = list(map(to_origin, log.estimates)), log.notes
             motion = motion_of_log(estimates, log)
+        else:
+            found = list(accepted(Recording(path), (Estimate, Applied, Plan)))
+            estimates = [to_origin(message) for message, *_ in found if isinstance(message, Estimate)]
+            reports = [message for message, *_ in found if isinstance(message, Applied)]
+            plans = [(t_ns, message) for message, _, t_ns in found if isinstance(message, Plan)]
+            motion = motion_of(vehicle, estimates, reports, plans)
         identification = identify(vehicle, motion, known, known_yaw)
     except CannotIdentify as error:
         problem = "does not excite the vehicle enough" if isinstance(error, NotEnoughMotion) else "cannot be fitted"
         raise ConfigError(name_of(path), "", f"{problem}: {error}") from None
-    by_report = "plan" if motion.thrust is None else "applied"
     u, v, r = identification.sd.tolist()
-    report = IdentifyReport(
-        run=str(path.parent if log is None else path),
+    north_mps, east_mps = identification.current_mps.tolist()
+    north_half_mps, east_half_mps = identification.current_half_mps.tolist()
+    return IdentifyReport(
+        run=str(path if is_log(path) else path.parent),
         vehicle=vehicle.name,
         seconds=identification.seconds,
         estimates=len(motion.t_s),
         left_out_s=_left_out_s(estimates, len(motion.t_s)),
         segments=identification.segments,
-        input=by_report if log is None else "pwm",
+        input="pwm" if is_log(path) else "plan" if motion.thrust is None else "applied",
         known=(known, known_yaw),
-        current_mps=(float(identification.current_mps[0]), float(identification.current_mps[1])),
-        current_half_mps=(float(identification.current_half_mps[0]), float(identification.current_half_mps[1])),
+        current_mps=(north_mps, east_mps),
+        current_half_mps=(north_half_mps, east_half_mps),
         residual_sd=(u, v, r),
         found=identification.coefficients,
-        not_excited=[
-            coefficient.name
-            for coefficient in identification.coefficients
-            if not coefficient.excited and not coefficient.declared
-        ],
-        warnings=[*(log.notes if log else ()), *identification.warnings],
+        not_excited=[one.name for one in identification.coefficients if not one.excited and not one.declared],
+        warnings=[*notes, *identification.warnings],
     )
-    return report, identification
 
 
 def name_of(path: Path) -> str:
@@ -157,18 +146,6 @@ def motion_of_log(estimates: list[Estimate], log: AutopilotLog) -> Motion:
     last = np.maximum(np.searchsorted(log.t_ns, t_ns, side="right") - 1, 0)
     known = _reported(t_ns, log.t_ns) & log.armed[last] & np.isfinite(log.command_N[last]).all(axis=1)
     return _motion(estimates, known, _interpolate(t_ns, log.t_ns, np.nan_to_num(log.command_N)), None)
-
-
-def _recorded(path: Path) -> _Recorded:
-    recorded = _Recorded([], [], [])
-    for message, _, t_ns in accepted(Recording(path), (Estimate, Applied, Plan)):
-        if isinstance(message, Estimate):
-            recorded.estimates.append(message)
-        elif isinstance(message, Applied):
-            recorded.applied.append(message)
-        elif isinstance(message, Plan):
-            recorded.plans.append((t_ns, message))
-    return recorded
 
 
 def motion_of(
@@ -300,10 +277,10 @@ def _sd(estimates: list[Estimate]) -> Array:
     return np.maximum(np.sqrt([velocity, velocity, float(mean[YAW_RATE])]), MIN_SD)
 
 
-def identified_vehicle(path: Path, vehicle: Vehicle, identification: Identification) -> Vehicle:
+def identified_vehicle(path: Path, vehicle: Vehicle, report: IdentifyReport) -> Vehicle:
     """Return the vehicle with the identified coefficients. Raises ``ConfigError`` if a vehicle file rejects them."""
     try:
-        return with_coefficients(vehicle, identification.coefficients)
+        return with_coefficients(vehicle, report.found)
     except ValueError as error:  # such as limits scaled beyond their bounds
         raise ConfigError(name_of(path), "", f"fits no vehicle that a file accepts: {error}") from None
 
