@@ -28,12 +28,6 @@ def mortal(marks: Path, deadly: dict[int, int], job: int) -> int:
     return -job
 
 
-@pytest.mark.parametrize("workers", [1, 2])
-def test_what_a_job_raises_reaches_the_reader(workers: int) -> None:
-    with pytest.raises(ValueError, match=r"math domain error|nonnegative"):
-        list(run_each(math.sqrt, [4.0, -1.0, 9.0], workers=workers))
-
-
 def slow(seconds: float) -> float:
     time.sleep(seconds)
     return seconds
@@ -49,9 +43,10 @@ def refuse(job: int) -> None:
     raise ConfigError("scenario", "[water] sd_mps", "must be >= 0", value=job)
 
 
-def test_a_setting_that_a_worker_refuses_is_refused_here() -> None:
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_setting_that_a_worker_refuses_is_refused_here(workers: int) -> None:
     with pytest.raises(ConfigError, match=r"scenario: \[water\] sd_mps = -4: must be >= 0"):
-        list(run_each(refuse, [-4, -4], workers=2))
+        list(run_each(refuse, [-4, -4], workers=workers))
 
 
 def test_each_job_has_one_result_and_only_one_that_ends_its_worker_each_time_is_given_up(tmp_path: Path) -> None:
