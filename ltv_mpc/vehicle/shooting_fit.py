@@ -209,8 +209,7 @@ class ShootingFit:
 
         Residuals of a motion that diverges are infinite, and the initial states of the last finite one are kept.
         """
-        # the start may be that of a trial step far away
-        refined = self._refined(theta, self._start) or self._refined(theta, self._measured)
+        refined = self._refined(theta)
         if refined is None:
             return np.full((len(self._to_body), 3), np.inf), np.zeros((len(self._to_body), 3, len(theta)))
         self._start, base, Jy = refined
@@ -225,9 +224,14 @@ class ShootingFit:
         J = self._finite_columns(J)
         return r, J - self._explained(Jy, J)
 
-    def _refined(self, theta: Array, start: Array) -> tuple[Array, Array, Array] | None:
-        """Return better initial states (S, 3) than ``start``, their residuals and slopes; None if it diverges."""
-        refined = None
+    def _refined(self, theta: Array) -> tuple[Array, Array, Array] | None:
+        """Return the best initial states (S, 3), their residuals and slopes; None if the motion diverges.
+
+        They begin at the measured ones, less current and reference point of theta: those of a trial step far away may
+        lead to a local minimum.
+        """
+        first = np.cumsum(self._counts) - self._counts
+        refined, start = None, self._measured - self.sd * self._shoot(theta, self._measured)[first]
         for _ in range(3):  # the problem is nearly linear in its initial states
             r = self._shoot(theta, start)
             Jy = self._initial_slopes(theta, r, start)
@@ -248,7 +252,7 @@ class ShootingFit:
     def _best_change(self, Jy: Array, vectors: Array) -> Array:
         """Return the changes (S, 3, K) of the initial states that fit ``vectors`` (M', 3, K) best."""
         # normal equations of each segment; they are regular because its first instant is its initial state itself
-        first = np.concatenate([[0], np.cumsum(self._counts)[:-1]])
+        first = np.cumsum(self._counts) - self._counts
         left = np.add.reduceat(np.einsum("mcx,mcy->mxy", Jy, Jy), first)
         return np.linalg.solve(left, np.add.reduceat(np.einsum("mcy,mck->myk", Jy, vectors), first))
 

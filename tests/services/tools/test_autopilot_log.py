@@ -156,11 +156,12 @@ def test_a_log_has_the_motion_of_the_drive_its_thrusts_and_when_it_was_armed(kin
 def test_the_vehicle_that_made_a_log_is_found(kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log, wrong = tmp_path / kind, tmp_path / "wrong.toml"
     KINDS[kind](log)
-    surge, sway = BOAT.surge, BOAT.sway
-    other = msgspec.structs.replace(
+    replace, surge, sway, yaw = msgspec.structs.replace, BOAT.surge, BOAT.sway, BOAT.yaw
+    other = replace(
         BOAT,
-        surge=msgspec.structs.replace(surge, mass_kg=20.0, quadratic_damping_kgpm=12.0),
-        sway=msgspec.structs.replace(sway, mass_kg=30.0),
+        surge=replace(surge, mass_kg=1.4 * surge.mass_kg),
+        sway=replace(sway, mass_kg=1.4 * sway.mass_kg),
+        yaw=replace(yaw, inertia_kgm2=1.4 * yaw.inertia_kgm2),
     )
     wrong.write_text(to_toml(other))
     assert run(["vehicle", "identify", str(log), "--vehicle", str(wrong), "--json"]) == 0
@@ -170,7 +171,8 @@ def test_the_vehicle_that_made_a_log_is_found(kind: str, tmp_path: Path, capsys:
     found = {one["name"]: one for one in report["found"]}
     for name, true in (("mass_surge", surge.mass_kg), ("mass_sway", sway.mass_kg)):
         assert found[name]["excited"]
-        assert found[name]["value"] == pytest.approx(true, rel=0.1)
+        assert found[name]["value"] == pytest.approx(true, rel=0.05)
+    assert max(report["residual_sd"][:2]) < 0.007  # an initial state that stays behind in a local minimum leaves 0.01
 
 
 def test_a_log_that_cannot_be_used_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
