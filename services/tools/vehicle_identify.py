@@ -34,6 +34,7 @@ from services.recording.acceptance import accepted
 from services.recording.reader import Recording
 from services.run import folder
 from services.run.folder import RunFolder
+from services.runtime.console import columns
 from services.tools import autopilot_log
 from services.tools.autopilot_log import AutopilotLog
 
@@ -297,17 +298,16 @@ def format_text(report: IdentifyReport) -> str:
         f"current that the estimates do not contain: {north:.3f} +- {half_north:.3f} m/s north, "
         f"{east:.3f} +- {half_east:.3f} m/s east",
         f"taken from the file: {report.known[0]} and {report.known[1]}",
-        f"{'':<20}{'file':>10}{'found':>12}   95 % interval",
+        *columns([("", "file", "found", "95 % interval"), *map(_cells, report.found)]),
     ]
-    for coefficient in report.found:
-        interval = f"{coefficient.low:>10.4g} to {coefficient.high:.4g} {coefficient.unit}"
-        if coefficient.declared:
-            interval += ": declared value kept"
-        elif not coefficient.excited:
-            interval = "  not excited: file value kept"
-        value = f"{coefficient.value:12.4g}" if coefficient.excited else f"{'':>12}"
-        lines.append(f"{coefficient.name:<20}{coefficient.file:>10.4g}{value} {interval}".rstrip())
     return "\n".join([*lines, *(f"warning: {warning}" for warning in report.warnings)])
+
+
+def _cells(of: IdentifiedCoefficient) -> tuple[str, ...]:
+    """Return the row of a coefficient in the table."""
+    kept = ": declared value kept" if of.declared else "" if of.excited else ": not excited, file value kept"
+    interval = f"{of.low:.4g} to {of.high:.4g} {of.unit}{kept}"
+    return of.name, f"{of.file:.4g}", f"{of.value:.4g}" if of.excited else "", interval
 
 
 def format_toml(report: IdentifyReport, vehicle: Vehicle) -> str:
