@@ -13,19 +13,23 @@ import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc.control.config import MotionLimits
+from ltv_mpc.control.config import ControllerConfig, MotionLimits
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.control.ocp.problem import Problem
+from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.solvers.interface import Result
 from ltv_mpc.control.solvers.recorder import RecordingSolver
 from ltv_mpc.messages import Applied, CycleTiming, Estimate, Message, Plan, SolveStatus
 from ltv_mpc.node import Cycle, Inbox, Node
+from ltv_mpc.vehicle.parameters import Vehicle
 from services.cli.app import run
 from services.recording.reader import Recording
+from services.tools.c_code import solved_cycle
 from services.tools.profile import measure as measurement
 from services.tools.profile import problems
 from services.tools.profile import run as latency
 from services.tools.profile.measure import STAGES, Candidate, Samples, measure, piqp_native, solver_by_name
+from services.tools.profile.piqp_yardstick import PiqpYardstick
 from services.tools.python_run import simulate
 
 OSQP, PIQP = solver_by_name("osqp"), piqp_native()
@@ -158,6 +162,15 @@ def test_limits_of_the_motion_are_part_of_the_problem_for_all() -> None:
     slow = episode._replace(config=msgspec.structs.replace(episode.config, limits=limits, tolerance=1e-7))
     found = measured([slow], OSQP, PIQP, solver_by_name("riccati"))
     assert max(np.median(of.thrust_error_N) for of in found) < 1e-3
+
+
+def test_after_a_problem_that_is_not_finite_the_yardstick_solves_as_before() -> None:
+    vehicle, yardstick = Vehicle.load("paper"), PiqpYardstick()
+    problem = solved_cycle(vehicle, settled(ControllerConfig(horizon_s=5.0), vehicle)).problem
+    before = yardstick.solve(problem, 0.0)
+    failed = yardstick.solve(problem._replace(h=np.full_like(problem.h, np.nan)), 0.0)
+    assert (failed.solve.status, failed.z.any()) == (SolveStatus.NON_FINITE, False)
+    np.testing.assert_allclose(yardstick.solve(problem, 0.0).z, before.z, rtol=0, atol=1e-7)
 
 
 def test_no_garbage_is_collected_within_a_cycle() -> None:
