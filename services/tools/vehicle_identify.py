@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ltv_mpc import config
 from ltv_mpc.control.prediction import current_at_depth, profile_of
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.messages import Applied, Array, Authority, Estimate, Plan, Times
+from ltv_mpc.messages import Applied, Array, Authority, Estimate, Pair, Plan, Times, Triple
 from ltv_mpc.vehicle.identification import (
     CannotIdentify,
     IdentifiedCoefficient,
@@ -185,11 +185,12 @@ def _motion(estimates: list[Estimate], known: Mask, command: Array, thrust: Arra
         )
     usable = [estimate for estimate, use in zip(estimates, known, strict=True) if use]
     t_ns = np.array([estimate.t_ns for estimate in usable])
+    velocity, shear = zip(*map(_through_the_water, usable), strict=True)
     return Motion(
         t_s=(t_ns - t_ns[0]) * 1e-9,
-        velocity=np.array([_through_the_water(estimate) for estimate in usable]),
+        velocity=np.array(velocity),
         heading=np.unwrap([estimate.heading_rad for estimate in usable]),
-        shear=np.array([_current_rate(estimate) for estimate in usable]),
+        shear=np.array(shear),
         command=command[known],
         sd=_sd(usable),
         thrust=None if thrust is None else thrust[known],
@@ -227,24 +228,20 @@ def _sort_unique(messages: Sequence[Timed]) -> list[Timed]:
     return list({message.t_ns: message for message in ordered}.values())
 
 
-def _through_the_water(estimate: Estimate) -> tuple[float, float, float]:
-    """Compute u, v, r: [u, v] = R(psi)' (velocity over ground - current)."""
-    profile = profile_of(estimate)
-    cn, ce = current_at_depth(profile.depth_m, profile.north_mps, profile.east_mps, estimate.depth_m or 0.0)
+def _through_the_water(estimate: Estimate) -> tuple[Triple, Pair]:
+    """Compute u, v, r,  [u, v] = R(psi)' (velocity over ground - current),  and the rate of the current (m/s2).
+
+    The rate is that along the descent, dc/dz w, from the current 0.5 m above and below.
+    """
+    profile, depth_m = profile_of(estimate), estimate.depth_m or 0.0
+    (n0, e0), (cn, ce), (n1, e1) = (
+        current_at_depth(profile.depth_m, profile.north_mps, profile.east_mps, depth_m + off_m)
+        for off_m in (-0.5, 0.0, 0.5)
+    )
     cos, sin = np.cos(estimate.heading_rad), np.sin(estimate.heading_rad)
     north, east = estimate.velocity_north_mps - cn, estimate.velocity_east_mps - ce
-    return cos * north + sin * east, cos * east - sin * north, estimate.yaw_rate_radps
-
-
-def _current_rate(estimate: Estimate) -> tuple[float, float]:
-    """Compute the rate of the current along the descent, dc/dz w (m/s2), from the current 0.5 m above and below."""
-    w = estimate.velocity_down_mps or 0.0
-    if w == 0.0 or estimate.depth_m is None:
-        return 0.0, 0.0
-    profile = profile_of(estimate)
-    n0, e0 = current_at_depth(profile.depth_m, profile.north_mps, profile.east_mps, estimate.depth_m - 0.5)
-    n1, e1 = current_at_depth(profile.depth_m, profile.north_mps, profile.east_mps, estimate.depth_m + 0.5)
-    return (n1 - n0) * w, (e1 - e0) * w
+    w = 0.0 if estimate.depth_m is None else estimate.velocity_down_mps or 0.0
+    return (cos * north + sin * east, cos * east - sin * north, estimate.yaw_rate_radps), ((n1 - n0) * w, (e1 - e0) * w)
 
 
 def _interpolate(t_ns: Times, at_ns: Times, values: Array) -> Array:
