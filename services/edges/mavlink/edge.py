@@ -24,7 +24,7 @@ from ltv_mpc.messages import (
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.edges.edge import Edge, LossCounter, Outgoing, Output, Received, Refused
 from services.edges.mavlink.actuation import Overrides
-from services.edges.mavlink.autopilot import Autopilot
+from services.edges.mavlink.autopilot import AUTOPILOT, Autopilot
 from services.edges.mavlink.codec import COMPONENT, Codec, frames_of
 from services.edges.mavlink.download import ListRefused
 from services.edges.mavlink.mission import NOTICE, WARNING, MissionFollower
@@ -215,7 +215,7 @@ class MavlinkEdge(Edge):
 
     @property
     def _target(self) -> tuple[int, int]:
-        return self.autopilot.system, self.autopilot.component
+        return self.autopilot.system, AUTOPILOT
 
     def _override(self, row: list[int]) -> Outgoing:
         return self._send(self._codec.make.rc_channels_override_encode(*self._target, *row))
