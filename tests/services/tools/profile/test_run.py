@@ -19,8 +19,8 @@ from ltv_mpc.control.ocp.problem import Problem
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.solvers.interface import Result
 from ltv_mpc.control.solvers.recorder import RecordingSolver
-from ltv_mpc.messages import Applied, CycleTiming, Estimate, Message, Plan, SolveStatus
-from ltv_mpc.node import Cycle, Inbox, Node
+from ltv_mpc.messages import Estimate, Message, Plan, SolveStatus
+from ltv_mpc.node import Inbox, Node
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.cli.app import run
 from services.recording.reader import Recording
@@ -41,25 +41,22 @@ def measured(episodes: list[problems.Episode], *candidates: Candidate) -> list[S
     return measure(episodes, candidates, warm_up=warm_up, order=random.Random(1), progress=lambda: None)
 
 
-class Probe:
-    """Stands in the controller's place and keeps what it hears."""
+class Probe(ControllerNode):
+    """Stands in the controller's place and keeps what it hears, and what it would have planned."""
 
-    name = "controller"
-    schedule = Cycle(300_000_000)
-    reads: tuple[type[Message], ...] = (Estimate, Applied, CycleTiming)
-    writes: tuple[type[Message], ...] = (Plan,)
-
-    def __init__(self) -> None:
+    def __init__(self, episode: problems.Episode) -> None:
+        super().__init__(episode.vehicle, episode.reference, episode.config)
         self.estimates: list[Estimate] = []
+        self.plans: list[Plan] = []
 
     def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
-        del t_ns
         self.estimates += [arrival.message for arrival in inbox if isinstance(arrival.message, Estimate)]
+        self.plans += [message for message in super().step(t_ns, inbox) if isinstance(message, Plan)]
         return []
 
 
 def heard(episode: problems.Episode, estimates: int) -> list[Estimate]:
-    probe = Probe()
+    probe = Probe(episode)
     episode.feed(probe, lambda: len(probe.estimates) >= estimates)
     return probe.estimates
 
@@ -222,20 +219,11 @@ def dive(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_recorded_run_gives_the_controller_what_it_got(dive: Path) -> None:
     (episode,) = problems.recorded(str(dive), 8, cycles=10)
-    node = ControllerNode(episode.vehicle, episode.reference, episode.config)
-    plans: list[Plan] = []
-
-    class Kept(Probe):
-        reads = ControllerNode.reads  # the command to arm too
-
-        def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
-            plans.extend(plan for plan in node.step(t_ns, inbox) if isinstance(plan, Plan))
-            return []
-
-    episode.feed(Kept(), lambda: False)
+    probe = Probe(episode)
+    episode.feed(probe, lambda: False)
     recorded = [message.typed()[0] for message in Recording(dive / "run.mcap") if message.kind is Plan]
-    assert len(plans) == len(recorded) > 25
-    for made, was in zip(plans, recorded, strict=True):
+    assert len(probe.plans) == len(recorded) > 25
+    for made, was in zip(probe.plans, recorded, strict=True):
         assert isinstance(was, Plan)
         assert made.cycle_t_ns == was.cycle_t_ns
         np.testing.assert_array_equal(made.thrust_N, was.thrust_N)
