@@ -73,8 +73,7 @@ class PiqpYardstick:
         status = self._solver.solve()
         x, info = self._solver.result.x, self._solver.result.info
         if not np.isfinite(x).all():
-            self._solver = None
-            why = "PIQP returned a value that is not finite; rebuilt"
+            why = "PIQP returned a value that is not finite"
             return Result(np.zeros_like(p.h), Solve(status=SolveStatus.NON_FINITE, why=why))
         code = piqp.Status
         known = {

@@ -250,6 +250,7 @@ def position(ms: int, x: float = 0.0, vx: float = 0.0) -> Any:
 
 def test_an_estimate_has_the_attitude_between_two_samples_on_the_shorter_way() -> None:
     navigation = Navigation(Accuracy(), dives=True)
+    assert list(navigation.position(position(950, 7.0, 1.5))) == []  # before the first attitude: it never has one
     assert list(navigation.attitude(attitude(1000, math.pi - 0.05, 1.0))) == []
     assert list(navigation.position(position(1050, 7.0, 1.5))) == []  # the attitude behind it is to come
     (estimate,) = navigation.attitude(attitude(1100, -math.pi + 0.05, 1.0))
