@@ -74,12 +74,17 @@ MOMENT_SHARE, MOMENT_WALK_PER_RTS = 0.1, 0.03
 
 INSIGNIFICANT, SIGNIFICANT = 0.5, 2.0
 """Square of a component of the arm over its variance: up to the first nothing is used, from the second on all. In the
-same way the bias of a profile is used.
+same way the bias of a profile is used, and an untold current by its square over that of a false one.
 """
 
 HEADING_FREE_SHARE, SHIFT_TIME_S, SHIFT_WAY_M = 0.03, 15.0, 2.0
 """Speed through the water, over the top speed, below which the heading is free; and time or way in which another point
 of the vehicle is brought to the target.
+"""
+
+RESTING_RADPS, FELT_SHARE = 0.01, 0.4
+"""Yaw rate below which a vehicle in still water rests, and size of a false current, over ``heading_free_mps``: a hull
+whose drag at rest is not that of its file shows one of up to 2 cm/s that turns with the hull, and the hull with it.
 """
 
 VELOCITY_ERROR_TIME_S = 3.0
@@ -291,7 +296,8 @@ class DisturbanceObserver:
         In a current, and on a path, the vehicle lies along the velocity w through the water, so the shift becomes the
         arm in that direction. If it followed the heading, it would swing with it, and the vehicle with the shift. In
         still water the heading is the only direction, and a target that turns with the vehicle would make it turn for
-        ever: there the shift vanishes, and the origin is what is held.
+        ever: there the origin is held while it turns. At rest the shift becomes the forward part of the arm, which a
+        move ahead or astern brings to the target.
         """
         arm = complex(self.arm_in_use.forward_m, self.arm_in_use.starboard_m)
         moved = self._waves_share * complex(*self._track[MOVED, :2])
@@ -300,10 +306,11 @@ class DisturbanceObserver:
         over_ground = complex(at_origin.velocity_north_mps, at_origin.velocity_east_mps)
         c = currents_at_depths(at_origin.current, np.array([estimate.depth_m or 0.0]))[0]
         w, bow = over_ground - complex(*c), complex(math.cos(estimate.heading_rad), math.sin(estimate.heading_rad))
-        # also with the stern first
-        along = (w * bow.conjugate()).real * w * arm / (abs(w) ** 2 + self._heading_free_mps**2)
+        free2 = self._heading_free_mps**2
+        along = (w * bow.conjugate()).real * w * arm  # also with the stern first
+        at_rest = free2 * bow * arm.real if abs(estimate.yaw_rate_radps) < RESTING_RADPS else 0.0
         share = min(seconds * (1.0 / SHIFT_TIME_S + abs(over_ground) / SHIFT_WAY_M), 1.0)
-        self._shift += share * (along - self._shift)
+        self._shift += share * ((along + at_rest) / (abs(w) ** 2 + free2) - self._shift)
         held = complex(at_origin.north_m, at_origin.east_m) + self._shift - moved
         return msgspec.structs.replace(at_origin, north_m=held.real, east_m=held.imag)
 
@@ -333,11 +340,11 @@ class DisturbanceObserver:
         return self._settings.sd_mps is None and estimate.current is not None
 
     def _share_in_use(self, estimate: Estimate) -> float:
-        """Return the share of the bias that is used, and does not fade."""
-        if not self._trusts(estimate):
-            return 1.0
+        """Return the share of the bias that is used: of an untold current, what is more than a false one."""
         b = self.bias_mps
-        return _significance(float(b @ np.linalg.solve(self.covariance, b)))
+        if self._trusts(estimate):
+            return _significance(float(b @ np.linalg.solve(self.covariance, b)))
+        return 1.0 if estimate.current else _significance(float(b @ b) / (FELT_SHARE * self._heading_free_mps) ** 2)
 
     def _exchange_bias(self) -> None:
         """Go over to the bias of a profile from that of still water, or back; it is uncertain again."""
@@ -406,7 +413,8 @@ class DisturbanceObserver:
             self._track,
         )
         self._belief = mean, P
-        mean[CURRENT:ARM] *= 1.0 - (1.0 - self._share_in_use(estimate)) * min(seconds / FADING_S, 1.0)
+        if self._trusts(estimate):  # what is not significant fades
+            mean[CURRENT:ARM] *= 1.0 - (1.0 - self._share_in_use(estimate)) * min(seconds / FADING_S, 1.0)
         share = min(seconds / ERROR_TIME_S, 1.0)
         self._track[SIZE, :2] += share * (self._track[INNOVATION, :2] / seconds - self._track[SIZE, :2])
         noise = 2.0 * math.sqrt(0.5 * share * (self._noise[0] + s2)) / seconds

@@ -27,7 +27,7 @@ import msgspec
 import numpy as np
 
 from ltv_mpc.control import nominal
-from ltv_mpc.control.config import STAGE_NS, ResolvedConfig
+from ltv_mpc.control.config import ResolvedConfig
 from ltv_mpc.control.disturbance import heading_free_mps
 from ltv_mpc.control.fallback import Fallback, LateralPlan, PreviousPlan
 from ltv_mpc.control.fencing import Fencing
@@ -53,7 +53,7 @@ BINDING = 1e-3
 MAX_WHY_CHARS = 200
 """Longest text of an exception in a plan."""
 
-REST_M, RESTING_MPS, RESTLESS = 0.09, 0.01, 2.5
+REST_M, RESTING_MPS, RESTLESS = 0.07, 0.01, 1.5
 """Distance from a point within which a vehicle rests in still water (m): closer, an error of its arm would make it turn
 for ever, or drive to and fro. Sinking speed up to which it rests (m/s), and how soon a current that gives the heading
 ends that: the square of its speed, over ``heading_free_mps``, times this.
@@ -124,22 +124,18 @@ class LateralPlanner:
         self.fencing.bend(start.lateral[:2], self._cycle.lin.C[0], self.target, limited=limited)
 
     def relax_target(self, start: Start, radius_m: float) -> None:
-        """Move the target of each knot to the point of a disc about it that is nearest to the previous plan.
+        """Move the target of each knot to the point of a disc about it that is nearest to the vehicle.
 
         Parameters
         ----------
-        start : the vehicle at the plan's start, from where the previous plan is continued.
+        start : the vehicle at the plan's start.
         radius_m : radius of the disc (m). Where the heading is free and the depth is kept, it is ``REST_M`` at least in
             still water, and less in a current.
         """
-        plan = self.previous.plan
         if abs(start.sinking_mps) < RESTING_MPS and self._config.weights.heading_per_rad2 == 0.0:
             current_mps = math.hypot(start.current_north_mps, start.current_east_mps)
             radius_m = max(radius_m, REST_M / (1.0 + RESTLESS * (current_mps / heading_free_mps(self._vehicle)) ** 2))
-        if radius_m == 0.0 or plan is None:
-            return
-        stages = (start.t_ns - int(plan.t_ns[0])) / STAGE_NS
-        bring_within(plan.states, stages, self._cycle.constants.t, start.lateral, radius_m, self.target)
+        bring_within(start.lateral[:2], radius_m, self.target)
 
     def ramp(self, start: Start, why: str, goal: Array | None = None) -> LateralPlan:
         """Ramp the lateral thrusters to a goal at their slew limits.

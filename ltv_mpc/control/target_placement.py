@@ -18,7 +18,6 @@ import math
 import numpy as np
 
 from ltv_mpc.control.scaling import Scales
-from ltv_mpc.control.shooting_grid import shift
 from ltv_mpc.control.terminal_check import closing_speed
 from ltv_mpc.geofence.route import Router
 from ltv_mpc.messages import Array
@@ -49,21 +48,19 @@ def bring_near(position: Array, current: Array, target: Array, horizon_s: float,
         target[:-1, :2] = position + way * (reach / np.maximum(distance, reach))[:, None]
 
 
-def bring_within(states: Array, stages: float, t: Array, state: Array, radius_m: float, target: Array) -> None:
-    """Move the target of each knot to the point of a disc about it that is nearest to the previous plan.
+def bring_within(position: Array, radius_m: float, target: Array) -> None:
+    """Move the target of each knot to the point of a disc about it that is nearest to the vehicle.
+
+    Within the disc the vehicle stays where it is. The nearest point to each knot of the previous plan would let it
+    drift on with what that plan does: a slow turn would take minutes to end.
 
     Parameters
     ----------
-    states : (N+1, 6) states of the previous plan; the changes of its positions count.
-    stages : by how many first stages it began earlier.
-    t : (N+1,) knots in first stages.
-    state : of the vehicle at the first knot, from where the plan is continued: north and east first (m).
+    position : (2,) of the vehicle at the first knot (m).
     radius_m : radius of the disc (m).
     target : (N+1, 3) as in ``ocp/terms.py``; its positions are overwritten.
     """
-    places = states[:, :2].copy()
-    shift(places, t, stages)
-    off = state[:2] - places[0] + places[1:] - target[:-1, :2]
+    off = position - target[:-1, :2]
     share = np.minimum(radius_m / np.maximum(np.hypot(off[:, 0], off[:, 1]), 1e-9), 1.0)
     target[:-1, :2] += share[:, None] * off
 

@@ -10,7 +10,7 @@ import pytest
 
 from ltv_mpc import Controller, ControllerConfig, CurrentProfile, Estimate, Vehicle, references
 from ltv_mpc.control.config import Disturbance
-from ltv_mpc.control.disturbance import DOUBTED_ESTIMATES, DisturbanceObserver
+from ltv_mpc.control.disturbance import DOUBTED_ESTIMATES, DisturbanceObserver, heading_free_mps
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.control.nominal_model import as_estimate
 from ltv_mpc.control.prediction import Prediction
@@ -98,6 +98,17 @@ def test_the_bias_survives_an_estimate_with_a_profile():
     assert bias.correct(known, vehicle, commands) is known
     again = bias.correct(msgspec.structs.replace(estimate, t_ns=51 * 300_000_000), vehicle, commands)
     assert again.current.north_mps[0] == learned[0]
+
+
+@pytest.mark.parametrize(("share", "used"), [(0.25, 0.0), (0.4, 0.5 / 1.5), (0.6, 1.0)])
+def test_an_untold_current_is_used_beyond_what_a_wrong_drag_looks_like(share, used):
+    """Share of the speed below which the heading is free. A current that is not there would turn with the hull."""
+    observer, commands, vehicle = DisturbanceObserver(DEFAULT, PAPER), SentCommands(PAPER), Prediction(PAPER)
+    belief = observer.save()
+    belief.mean[0] = share * heading_free_mps(PAPER)
+    observer.restore(belief, 0)
+    told = observer.correct(Estimate.at_rest(), vehicle, commands, learns=False).current
+    np.testing.assert_allclose(told.north_mps, used * belief.mean[0], atol=1e-12)
 
 
 def test_the_bias_is_added_to_the_profile():
@@ -307,18 +318,22 @@ def test_the_lever_arm_to_the_estimated_point_is_learned_while_the_vehicle_turns
         assert (corrected.north_m, corrected.east_m) == (given.north_m, given.east_m)  # not without evidence
 
 
+FORWARD = 0.2 / (0.2 - 0.15j)
+"""Share of the arm that is its forward part."""
+
+
 @pytest.mark.parametrize(
     ("water", "heading", "yaw_radps", "held"),
     [
-        ((0.0, 0.0), 0.5, 0.0, 0.0),  # the origin,
-        ((0.0, 0.0), 0.5, 0.5, 0.0),  # also while it turns
+        ((0.0, 0.0), 0.5, 0.0, FORWARD * np.exp(0.5j)),  # at rest the forward part,
+        ((0.0, 0.0), 0.5, 0.5, 0.0),  # while it turns the origin
         ((-0.3, 0.0), 0.0, 0.0, 1.0),  # in a current the whole arm: the bow points against it,
         ((0.0, 0.3), 0.5 * np.pi, 0.0, 1j),  # or the stern,
         ((-0.3, 0.0), 0.5, 0.5, np.cos(0.5)),  # or nearly, and then the vehicle swings, but not the arm
-        ((-0.015, 0.0), 0.0, 0.0, 0.5),  # half at 0.03 of the top speed
+        ((-0.015, 0.0), 0.0, 0.0, 0.5 * (1.0 + FORWARD)),  # half of either at 0.03 of the top speed
     ],
 )
-def test_the_estimated_point_is_held_along_the_water_and_in_still_water_the_origin(water, heading, yaw_radps, held):
+def test_the_estimated_point_is_held_along_the_water_and_at_rest_its_forward_part(water, heading, yaw_radps, held):
     """A target that turns with the vehicle would make it turn for ever."""
     arm = np.array([0.2, -0.15])
     observer, commands, vehicle = DisturbanceObserver(DEFAULT, PAPER), SentCommands(PAPER), Prediction(PAPER)

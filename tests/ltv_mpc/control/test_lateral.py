@@ -122,8 +122,8 @@ def test_a_node_plans_with_the_share_that_it_was_given(reduces, shares):
 @pytest.mark.parametrize(
     ("radius_m", "tolerance_m", "current_mps", "sinking_mps", "heading_deg"),
     [
-        (0.09, 0.0, 0.0, 0.0, None),  # in still water,
-        (0.09 / (1.0 + 2.5 * 2.0**2), 0.0, 0.03, 0.0, None),
+        (0.07, 0.0, 0.0, 0.0, None),  # in still water,
+        (0.07 / (1.0 + 1.5 * 2.0**2), 0.0, 0.03, 0.0, None),
         (0.0, 0.0, 0.0, 0.02, None),  # and none where a vehicle sinks, rises, or has a heading
         (0.0, 0.0, 0.0, 0.0, 0.0),
         (0.3, 0.3, 0.0, 0.0, None),  # the tolerance, if it is larger, and always

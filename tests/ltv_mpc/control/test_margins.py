@@ -12,6 +12,7 @@ import pytest
 from ltv_mpc import Controller, ControllerConfig, CurrentProfile, Estimate, Vehicle, references
 from ltv_mpc.control.config import Disturbance, ResolvedConfig, WeightSettings
 from ltv_mpc.control.horizon_selection import kept_share, proposed_slowness
+from ltv_mpc.control.lateral import RESTING_MPS
 from ltv_mpc.control.margins import Change, Loop, steady_state
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.scaling import characteristic_scales, default_weights
@@ -87,6 +88,7 @@ def flown(
                 yaw_rate_radps=r,
                 velocity_north_mps=np.cos(psi) * u - np.sin(psi) * v + C[0],
                 velocity_east_mps=np.sin(psi) * u + np.cos(psi) * v + C[1],
+                velocity_down_mps=2.0 * RESTING_MPS,  # or it would rest within a millimetre of its point
                 current=profile,
             )
             applied = report(k * 10_000_000, [*believed, 0.0], [*sent[-1], 0.0])

@@ -142,7 +142,7 @@ def test_of_a_target_out_of_reach_only_the_direction_counts() -> None:
         assert plan.reference_m == (3.0 * far, 4.0 * far)
         return plan.thrust_N
 
-    np.testing.assert_allclose(thrust_N(20.0, BOTH), thrust_N(900.0, BOTH), atol=1e-9)
+    np.testing.assert_allclose(thrust_N(20.0, BOTH), thrust_N(900.0, BOTH), atol=1e-7)  # rounding of the target
     assert np.abs(thrust_N(20.0, MotionLimits()) - thrust_N(900.0, MotionLimits())).max() > 1.0
 
 

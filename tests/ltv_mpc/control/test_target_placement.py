@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 
@@ -90,15 +88,12 @@ def test_a_target_out_of_reach_is_brought_nearer_in_its_direction() -> None:
     np.testing.assert_array_equal(table[-1], before[-1])
 
 
-def test_with_a_tolerance_a_target_is_the_point_of_its_disc_nearest_to_the_previous_plan() -> None:
-    """The plan began half a stage earlier at the origin and goes on from where the vehicle is."""
-    states, t, state = np.zeros((4, 6)), np.arange(4.0), np.array([10.0, 20.0, 0.0, 0.0, 0.0, 0.0])
-    states[:, :2] = np.outer(t, [3.0, -4.0])  # 5 m a stage
-    table = np.zeros((4, 3))
-    table[:-1, :2] = [[13.0, 17.0], [13.0, 26.0], [12.0, 11.0]]
-    bring_within(states, 0.5, t, state, 2.0, table)
-    np.testing.assert_allclose(table[0, :2], [13.0, 16.0], atol=1e-12)  # where the plan is
-    off = np.array([16.0, 12.0]) - [13.0, 26.0]
-    np.testing.assert_allclose(table[1, :2], [13.0, 26.0] + 2.0 * off / np.hypot(*off), atol=1e-12)
-    assert math.dist(table[2, :2], (12.0, 11.0)) == pytest.approx(2.0)
-    np.testing.assert_array_equal(table[-1], 0.0)
+def test_with_a_tolerance_a_target_is_the_point_of_its_disc_nearest_to_the_vehicle() -> None:
+    table = targets((12.0, 20.0), (13.0, 26.0), (10.0, 18.5))
+    last = table[-1].copy()
+    bring_within(np.array([10.0, 19.0]), 2.0, table)
+    np.testing.assert_allclose(table[:10, :2], np.tile([12.0 - 4.0 / 5**0.5, 20.0 - 2.0 / 5**0.5], (10, 1)))
+    off = np.array([-3.0, -7.0])
+    np.testing.assert_allclose(table[10:20, :2], np.tile([13.0, 26.0] + 2.0 * off / np.hypot(*off), (10, 1)))
+    np.testing.assert_allclose(table[20:30, :2], np.tile([10.0, 19.0], (10, 1)))  # within: where it is
+    np.testing.assert_array_equal(table[-1], last)
