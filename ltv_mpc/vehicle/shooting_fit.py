@@ -113,7 +113,6 @@ class ShootingFit:
         """Standard deviations (3,) of the errors of u, v and r."""
         self._indices = [index_of(name) for name in self.free]
         self._measured = motion.velocity[self.edges[:, 0]]
-        self._start = self._measured
         compared = np.concatenate([np.arange(first, end) for first, end in [(0, 0), *self.edges.tolist()]])
         self._to_body = _rotations(motion.heading[compared])
         self._yaw_rate = motion.velocity[compared, 2]
@@ -185,8 +184,9 @@ class ShootingFit:
         theta : (P,) coefficients and current.
         forces : K arrays (M, 3) of forces ahead and to starboard (N) and moment (N m), which are linear in between.
         """
-        series, changes = self._series, []
-        base = self._shoot(theta, self._start)
+        refined = self._refined(theta)
+        assert refined is not None  # theta is a solution
+        series, changes, (start, base, Jy) = self._series, [], refined
         port, starboard = self.nominal[[index_of("arm_port"), index_of("arm_starboard")]]
         sin, cos = np.sin(series.heading), np.cos(series.heading)
         for force in forces:
@@ -197,23 +197,22 @@ class ShootingFit:
             shear = series.shear + STEP * np.column_stack([-sin * across, cos * across])
             self._series = series._replace(input=input_, shear=shear)
             try:
-                changes.append((self._shoot(theta, self._start) - base) / STEP)
+                changes.append((self._shoot(theta, start) - base) / STEP)
             finally:
                 self._series = series
         E = self._finite_columns(np.stack(changes, axis=-1))
-        return E - self._explained(self._initial_slopes(theta, base, self._start), E)
+        return E - self._explained(Jy, E)
 
     @np.errstate(over="ignore", invalid="ignore")  # of a motion that diverges
     def _reduced(self, theta: Array, *, slopes: bool) -> tuple[Array, Array]:
         """Return whitened residuals (M', 3) and slopes (M', 3, P), without the part explained by the initial states.
 
-        Residuals of a motion that diverges are infinite, and the initial states of the last finite one are kept.
+        Residuals of a motion that diverges are infinite.
         """
-        # the start may be that of a trial step far away
-        refined = self._refined(theta, self._start) or self._refined(theta, self._measured)
+        refined = self._refined(theta)
         if refined is None:
             return np.full((len(self._to_body), 3), np.inf), np.zeros((len(self._to_body), 3, len(theta)))
-        self._start, base, Jy = refined
+        start, base, Jy = refined
         r = base - self._explained(Jy, base[..., None])[..., 0]
         if not slopes:
             return r, np.empty((*r.shape, 0))
@@ -221,25 +220,26 @@ class ShootingFit:
         for i in range(len(theta)):
             ahead = theta.copy()
             ahead[i] += STEP
-            J[..., i] = (self._shoot(ahead, self._start) - base) / STEP
+            J[..., i] = (self._shoot(ahead, start) - base) / STEP
         J = self._finite_columns(J)
         return r, J - self._explained(Jy, J)
 
-    def _refined(self, theta: Array, start: Array) -> tuple[Array, Array, Array] | None:
-        """Return better initial states (S, 3) than ``start``, their residuals and slopes; None if it diverges."""
-        refined = None
+    def _refined(self, theta: Array) -> tuple[Array, Array, Array] | None:
+        """Return the best initial states (S, 3), the residuals (M', 3) and their slopes; None if the motion diverges.
+
+        They begin at the measured ones, less current and reference point of theta: those of a trial step far away may
+        lead to a local minimum.
+        """
+        first = np.cumsum(self._counts) - self._counts
+        refined, start = None, self._measured - self.sd * self._shoot(theta, self._measured)[first]
         for _ in range(3):  # the problem is nearly linear in its initial states
             r = self._shoot(theta, start)
-            Jy = self._initial_slopes(theta, r, start)
+            Jy = np.stack([(self._shoot(theta, start + step) - r) / STEP for step in STEP * np.eye(3)], axis=-1)
             if not (np.all(np.abs(r * self.sd) < MAX_RESIDUAL) and np.all(np.abs(Jy * self.sd[:, None]) < MAX_GROWTH)):
                 break
             refined = start, r, Jy
             start = start - self._best_change(Jy, r[..., None])[:, :, 0]
         return refined
-
-    def _initial_slopes(self, theta: Array, base: Array, start: Array) -> Array:
-        """Return the slopes (M', 3, 3) of the residuals by the initial states, at which they are ``base`` (M', 3)."""
-        return np.stack([(self._shoot(theta, start + step) - base) / STEP for step in STEP * np.eye(3)], axis=-1)
 
     def _finite_columns(self, J: Array) -> Array:
         """Return slopes (M', 3, K) with zero in place of each column that is not finite: it shows nothing."""
@@ -248,7 +248,7 @@ class ShootingFit:
     def _best_change(self, Jy: Array, vectors: Array) -> Array:
         """Return the changes (S, 3, K) of the initial states that fit ``vectors`` (M', 3, K) best."""
         # normal equations of each segment; they are regular because its first instant is its initial state itself
-        first = np.concatenate([[0], np.cumsum(self._counts)[:-1]])
+        first = np.cumsum(self._counts) - self._counts
         left = np.add.reduceat(np.einsum("mcx,mcy->mxy", Jy, Jy), first)
         return np.linalg.solve(left, np.add.reduceat(np.einsum("mcy,mck->myk", Jy, vectors), first))
 

@@ -120,10 +120,10 @@ def identify(
     from services.reporting.terminal import reading_progress
 
     with reading_progress(source):
-        report, identification = vehicle_identify.identify_run(source, loaded, known, known_yaw)
+        report = vehicle_identify.identify_run(source, loaded, known, known_yaw)
     show(report, lambda: vehicle_identify.format_text(report), as_json=as_json)
     if out is not None:
-        identified = vehicle_identify.identified_vehicle(source, loaded, identification)
+        identified = vehicle_identify.identified_vehicle(source, loaded, report)
         _write(out, vehicle_identify.format_toml(report, identified), force=force, quiet=as_json)
 
 

@@ -22,7 +22,7 @@ from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.failed_qp import STATES, row_names
 from ltv_mpc.control.ocp.assembly import scales
 from ltv_mpc.control.problem_data import CHANGES, COMMANDS
-from ltv_mpc.control.solvers import Solver, make, riccati
+from ltv_mpc.control.solvers import make, riccati
 from ltv_mpc.control.solvers.osqp import SETTINGS, Arrays, prepare
 from ltv_mpc.control.solvers.recorder import RecordingSolver
 from ltv_mpc.control.solvers.sparse import EXCESS, SparseLayout
@@ -55,18 +55,13 @@ def solved_cycle(vehicle: Vehicle, config: ResolvedConfig) -> RecordingSolver:
     The vehicle is off its point and abeam of it, so that limits are active and the solution is not zero. Raises
     ``ConfigError`` if the solver of the settings does not solve the problem.
     """
-    made: list[RecordingSolver] = []
-
-    def make_recorded(*settings: Any) -> Solver:
-        made.append(RecordingSolver(make(*settings)))
-        return made[-1]
-
     once = msgspec.structs.replace(config, sqp_iterations=1)
-    controller = Controller(vehicle, Point(north_m=0.0, east_m=0.0), once, make_solver=make_recorded)
+    cycle, here = RecordingSolver(make(vehicle, once)), Point(north_m=0.0, east_m=0.0)
+    controller = Controller(vehicle, here, once, make_solver=lambda _vehicle, _config: cycle)
     plan = controller.plan(Estimate.at_rest(north_m=-3.0, east_m=2.0, heading_rad=1.0))
     if plan.solve.status is not SolveStatus.SOLVED:
         raise ConfigError("controller settings", "", f"the QP to export is not solved: {plan.solve.why}")
-    return made[-1]
+    return cycle
 
 
 def export(folder: Path, cycle: RecordingSolver, vehicle: Vehicle, config: ResolvedConfig) -> Exported:

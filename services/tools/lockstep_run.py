@@ -104,7 +104,7 @@ def simulate(
         make_rejection=rejected_message,
     )
     failure: OSError | None = None
-    done = False
+    why = STOPPED
     try:
         for t_ns in (*range(scenario.start_ns, scenario.end_ns, PROGRESS_NS), scenario.end_ns):
             if stop():
@@ -113,12 +113,11 @@ def simulate(
             if progress is not None:
                 progress(t_ns)
         else:
-            done = True
+            why = ""
     except OSError as error:
-        failure = error
+        failure, why = error, f"the run cannot be stored: {error.strerror}"
     records = sum(lockstep.steps.values()) if recorded else 0
     messages = Messages(published=lockstep.published + records, dropped=0, rejected=log.rejected_count)
-    why = f"the run cannot be stored: {failure.strerror}" if failure else "" if done else STOPPED
     summary = summarise(run_config, log.metrics, mode=LOCKSTEP, messages=messages, why=why)
     if failure is not None:
         raise NotStored(failure, summary)

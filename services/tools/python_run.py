@@ -184,11 +184,8 @@ class Table(dict[str, Column]):
 
         flat: dict[str, Column] = {}
         for name, values in self.items():
-            if values.ndim == 1:
-                flat[name] = values
-            else:
-                places = np.ndindex(values.shape[1:])
-                flat |= {"_".join((name, *map(str, place))): values[(slice(None), *place)] for place in places}
+            places = np.ndindex(values.shape[1:])  # of a number: one, ()
+            flat |= {"_".join((name, *map(str, place))): values[(slice(None), *place)] for place in places}
         return pandas.DataFrame(flat)
 
     def __missing__(self, name: str) -> Column:

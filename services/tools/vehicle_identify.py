@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple, TypeAlias, TypeVar
+from typing import TypeAlias, TypeVar
 
 import msgspec
 import numpy as np
@@ -18,10 +18,9 @@ from numpy.typing import NDArray
 from ltv_mpc import config
 from ltv_mpc.control.prediction import current_at_depth, profile_of
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.messages import Applied, Array, Authority, Estimate, Plan, Times
+from ltv_mpc.messages import Applied, Array, Authority, Estimate, Pair, Plan, Times, Triple
 from ltv_mpc.vehicle.identification import (
     CannotIdentify,
-    Identification,
     IdentifiedCoefficient,
     Known,
     KnownYaw,
@@ -35,6 +34,7 @@ from services.recording.acceptance import accepted
 from services.recording.reader import Recording
 from services.run import folder
 from services.run.folder import RunFolder
+from services.runtime.console import columns
 from services.tools import autopilot_log
 from services.tools.autopilot_log import AutopilotLog
 
@@ -73,14 +73,6 @@ class IdentifyReport(msgspec.Struct, frozen=True, kw_only=True):
     warnings: list[str]  # what contradicts the model or the file
 
 
-class _Recorded(NamedTuple):
-    """Messages of a recording that the identification uses."""
-
-    estimates: list[Estimate]
-    applied: list[Applied]
-    plans: list[tuple[int, Plan]]  # with the time of publication
-
-
 def open_run(run: str) -> Path:
     """Return the recording of a run (its folder, its run.mcap or ``latest``), or the path of an autopilot's log.
 
@@ -101,45 +93,43 @@ def load_vehicle(path: Path, name: str | None) -> Vehicle:
     return Vehicle.load(name or str(RunFolder(path.parent).config("vehicle")))
 
 
-def identify_run(
-    path: Path, vehicle: Vehicle, known: Known, known_yaw: KnownYaw
-) -> tuple[IdentifyReport, Identification]:
+def identify_run(path: Path, vehicle: Vehicle, known: Known, known_yaw: KnownYaw) -> IdentifyReport:
     """Identify the vehicle from a recording or a log. Raises ``ConfigError`` if no vehicle can be fitted to it."""
-    log = autopilot_log.read(path, vehicle) if is_log(path) else None
-    recorded = _recorded(path) if log is None else _Recorded(log.estimates, [], [])
-    estimates = [vehicle.reference_point.to_origin(estimate) for estimate in recorded.estimates]
+    notes, to_origin = list[str](), vehicle.reference_point.to_origin
     try:
-        if log is None:
-            motion = motion_of(vehicle, estimates, recorded.applied, recorded.plans)
-        else:
+        if is_log(path):
+            log = autopilot_log.read(path, vehicle)
+            estimates, notes = list(map(to_origin, log.estimates)), log.notes
             motion = motion_of_log(estimates, log)
+        else:
+            found = list(accepted(Recording(path), (Estimate, Applied, Plan)))
+            estimates = [to_origin(message) for message, *_ in found if isinstance(message, Estimate)]
+            reports = [message for message, *_ in found if isinstance(message, Applied)]
+            plans = [(t_ns, message) for message, _, t_ns in found if isinstance(message, Plan)]
+            motion = motion_of(vehicle, estimates, reports, plans)
         identification = identify(vehicle, motion, known, known_yaw)
     except CannotIdentify as error:
         problem = "does not excite the vehicle enough" if isinstance(error, NotEnoughMotion) else "cannot be fitted"
         raise ConfigError(name_of(path), "", f"{problem}: {error}") from None
-    by_report = "plan" if motion.thrust is None else "applied"
     u, v, r = identification.sd.tolist()
-    report = IdentifyReport(
-        run=str(path.parent if log is None else path),
+    north_mps, east_mps = identification.current_mps.tolist()
+    north_half_mps, east_half_mps = identification.current_half_mps.tolist()
+    return IdentifyReport(
+        run=str(path if is_log(path) else path.parent),
         vehicle=vehicle.name,
         seconds=identification.seconds,
         estimates=len(motion.t_s),
         left_out_s=_left_out_s(estimates, len(motion.t_s)),
         segments=identification.segments,
-        input=by_report if log is None else "pwm",
+        input="pwm" if is_log(path) else "plan" if motion.thrust is None else "applied",
         known=(known, known_yaw),
-        current_mps=(float(identification.current_mps[0]), float(identification.current_mps[1])),
-        current_half_mps=(float(identification.current_half_mps[0]), float(identification.current_half_mps[1])),
+        current_mps=(north_mps, east_mps),
+        current_half_mps=(north_half_mps, east_half_mps),
         residual_sd=(u, v, r),
         found=identification.coefficients,
-        not_excited=[
-            coefficient.name
-            for coefficient in identification.coefficients
-            if not coefficient.excited and not coefficient.declared
-        ],
-        warnings=[*(log.notes if log else ()), *identification.warnings],
+        not_excited=[one.name for one in identification.coefficients if not one.excited and not one.declared],
+        warnings=[*notes, *identification.warnings],
     )
-    return report, identification
 
 
 def name_of(path: Path) -> str:
@@ -157,18 +147,6 @@ def motion_of_log(estimates: list[Estimate], log: AutopilotLog) -> Motion:
     last = np.maximum(np.searchsorted(log.t_ns, t_ns, side="right") - 1, 0)
     known = _reported(t_ns, log.t_ns) & log.armed[last] & np.isfinite(log.command_N[last]).all(axis=1)
     return _motion(estimates, known, _interpolate(t_ns, log.t_ns, np.nan_to_num(log.command_N)), None)
-
-
-def _recorded(path: Path) -> _Recorded:
-    recorded = _Recorded([], [], [])
-    for message, _, t_ns in accepted(Recording(path), (Estimate, Applied, Plan)):
-        if isinstance(message, Estimate):
-            recorded.estimates.append(message)
-        elif isinstance(message, Applied):
-            recorded.applied.append(message)
-        elif isinstance(message, Plan):
-            recorded.plans.append((t_ns, message))
-    return recorded
 
 
 def motion_of(
@@ -207,11 +185,12 @@ def _motion(estimates: list[Estimate], known: Mask, command: Array, thrust: Arra
         )
     usable = [estimate for estimate, use in zip(estimates, known, strict=True) if use]
     t_ns = np.array([estimate.t_ns for estimate in usable])
+    velocity, shear = zip(*map(_through_the_water, usable), strict=True)
     return Motion(
         t_s=(t_ns - t_ns[0]) * 1e-9,
-        velocity=np.array([_through_the_water(estimate) for estimate in usable]),
+        velocity=np.array(velocity),
         heading=np.unwrap([estimate.heading_rad for estimate in usable]),
-        shear=np.array([_current_rate(estimate) for estimate in usable]),
+        shear=np.array(shear),
         command=command[known],
         sd=_sd(usable),
         thrust=None if thrust is None else thrust[known],
@@ -249,24 +228,20 @@ def _sort_unique(messages: Sequence[Timed]) -> list[Timed]:
     return list({message.t_ns: message for message in ordered}.values())
 
 
-def _through_the_water(estimate: Estimate) -> tuple[float, float, float]:
-    """Compute u, v, r: [u, v] = R(psi)' (velocity over ground - current)."""
-    profile = profile_of(estimate)
-    cn, ce = current_at_depth(profile.depth_m, profile.north_mps, profile.east_mps, estimate.depth_m or 0.0)
+def _through_the_water(estimate: Estimate) -> tuple[Triple, Pair]:
+    """Compute u, v, r,  [u, v] = R(psi)' (velocity over ground - current),  and the rate of the current (m/s2).
+
+    The rate is that along the descent, dc/dz w, from the current 0.5 m above and below.
+    """
+    profile, depth_m = profile_of(estimate), estimate.depth_m or 0.0
+    (n0, e0), (cn, ce), (n1, e1) = (
+        current_at_depth(profile.depth_m, profile.north_mps, profile.east_mps, depth_m + off_m)
+        for off_m in (-0.5, 0.0, 0.5)
+    )
     cos, sin = np.cos(estimate.heading_rad), np.sin(estimate.heading_rad)
     north, east = estimate.velocity_north_mps - cn, estimate.velocity_east_mps - ce
-    return cos * north + sin * east, cos * east - sin * north, estimate.yaw_rate_radps
-
-
-def _current_rate(estimate: Estimate) -> tuple[float, float]:
-    """Compute the rate of the current along the descent, dc/dz w (m/s2), from the current 0.5 m above and below."""
-    w = estimate.velocity_down_mps or 0.0
-    if w == 0.0 or estimate.depth_m is None:
-        return 0.0, 0.0
-    profile = profile_of(estimate)
-    n0, e0 = current_at_depth(profile.depth_m, profile.north_mps, profile.east_mps, estimate.depth_m - 0.5)
-    n1, e1 = current_at_depth(profile.depth_m, profile.north_mps, profile.east_mps, estimate.depth_m + 0.5)
-    return (n1 - n0) * w, (e1 - e0) * w
+    w = 0.0 if estimate.depth_m is None else estimate.velocity_down_mps or 0.0
+    return (cos * north + sin * east, cos * east - sin * north, estimate.yaw_rate_radps), ((n1 - n0) * w, (e1 - e0) * w)
 
 
 def _interpolate(t_ns: Times, at_ns: Times, values: Array) -> Array:
@@ -300,10 +275,10 @@ def _sd(estimates: list[Estimate]) -> Array:
     return np.maximum(np.sqrt([velocity, velocity, float(mean[YAW_RATE])]), MIN_SD)
 
 
-def identified_vehicle(path: Path, vehicle: Vehicle, identification: Identification) -> Vehicle:
+def identified_vehicle(path: Path, vehicle: Vehicle, report: IdentifyReport) -> Vehicle:
     """Return the vehicle with the identified coefficients. Raises ``ConfigError`` if a vehicle file rejects them."""
     try:
-        return with_coefficients(vehicle, identification.coefficients)
+        return with_coefficients(vehicle, report.found)
     except ValueError as error:  # such as limits scaled beyond their bounds
         raise ConfigError(name_of(path), "", f"fits no vehicle that a file accepts: {error}") from None
 
@@ -320,17 +295,16 @@ def format_text(report: IdentifyReport) -> str:
         f"current that the estimates do not contain: {north:.3f} +- {half_north:.3f} m/s north, "
         f"{east:.3f} +- {half_east:.3f} m/s east",
         f"taken from the file: {report.known[0]} and {report.known[1]}",
-        f"{'':<20}{'file':>10}{'found':>12}   95 % interval",
+        *columns([("", "file", "found", "95 % interval"), *map(_cells, report.found)]),
     ]
-    for coefficient in report.found:
-        interval = f"{coefficient.low:>10.4g} to {coefficient.high:.4g} {coefficient.unit}"
-        if coefficient.declared:
-            interval += ": declared value kept"
-        elif not coefficient.excited:
-            interval = "  not excited: file value kept"
-        value = f"{coefficient.value:12.4g}" if coefficient.excited else f"{'':>12}"
-        lines.append(f"{coefficient.name:<20}{coefficient.file:>10.4g}{value} {interval}".rstrip())
     return "\n".join([*lines, *(f"warning: {warning}" for warning in report.warnings)])
+
+
+def _cells(of: IdentifiedCoefficient) -> tuple[str, ...]:
+    """Return the row of a coefficient in the table."""
+    kept = ": declared value kept" if of.declared else "" if of.excited else ": not excited, file value kept"
+    interval = f"{of.low:.4g} to {of.high:.4g} {of.unit}{kept}"
+    return of.name, f"{of.file:.4g}", f"{of.value:.4g}" if of.excited else "", interval
 
 
 def format_toml(report: IdentifyReport, vehicle: Vehicle) -> str:

@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks.rivals import lqr
 from benchmarks.robustness import tuning
-from benchmarks.robustness.cases import CASES, DEFAULTS, RIGHT, conditions, parsed
+from benchmarks.robustness.cases import RIGHT, conditions
 from benchmarks.robustness.flights import Job, Row, judged
 from benchmarks.robustness.laws import DEFAULT, LQR, PID
 from benchmarks.strangers.flight import Conditions, fly, load
@@ -57,22 +57,6 @@ def speed_mps(case: str, at_s: float) -> float:
     """Return the speed of the light boat after some time of straight thrust; its drag ahead is quadratic."""
     flight = fly("light_boat", Ahead(10.0), conditions_in_still_water(case), duration_s=at_s)
     return float(np.hypot(*flight.track[-1, 3:5]))
-
-
-def test_there_are_48_cases_and_each_is_another_plant_than_the_right_one() -> None:
-    assert len(set(CASES)) == 48
-    hull = load("light_boat")[0]
-    known = [conditions(case, hull) for case in CASES]
-    assert all(one != other for i, one in enumerate(known) for other in known[:i])
-    assert {key for case in CASES for key, value in parsed(case).items() if value != DEFAULTS[key]} == set(DEFAULTS)
-
-
-@pytest.mark.parametrize(
-    ("case", "says"), [("mass=1 drga=2", "'drga=2': must be KEY=NUMBER"), ("mass=x", "as in mass=1")]
-)
-def test_a_case_that_is_none_is_refused_by_name(case: str, says: str) -> None:
-    with pytest.raises(ValueError, match=says):
-        parsed(case)
 
 
 @pytest.mark.parametrize(

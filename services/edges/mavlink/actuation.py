@@ -13,8 +13,6 @@ RCn_DZ 0. Sway (6) of Sub is not used. ArduPilot takes the throttle in whole per
 
 from __future__ import annotations
 
-import enum
-
 import numpy as np
 
 from ltv_mpc.messages import Array
@@ -58,37 +56,27 @@ def channels(vehicle: Vehicle, kind: Kind, thrust_N: Array) -> dict[int, int]:
     return {channel: round(NEUTRAL + SPAN * share) for channel, share in shares.items()}
 
 
-class State(enum.Enum):
-    """State of the overrides."""
-
-    IDLE = "idle"  # nothing is sent
-    DRIVING = "driving"
-    NEUTRAL = "neutral"
-    RELEASING = "releasing"
-
-
 class Overrides:
     """Sequence of the overrides. While the autopilot is disarmed nothing but the release is sent."""
 
     def __init__(self, vehicle: Vehicle) -> None:
         self._vehicle = vehicle
-        self._until_us = 0
-        self.state = State.IDLE
+        self._neutral_until_us = -RELEASE_US  # then they are released
 
     def step(self, kind: Kind, thrust_N: Array | None, armed: bool, now_us: int) -> list[int] | None:
         """Return the 8 channels to send now, or None. ``thrust_N`` is None if the edge may not drive."""
         if thrust_N is not None and armed:
-            self.state = State.DRIVING
+            self._neutral_until_us = now_us + NEUTRAL_US
             return self._row(channels(self._vehicle, kind, thrust_N))
-        if self.state is State.DRIVING:
-            self.state, self._until_us = State.NEUTRAL, now_us + NEUTRAL_US
-        if self.state is State.NEUTRAL and (now_us >= self._until_us or not armed):
-            self.state, self._until_us = State.RELEASING, now_us + RELEASE_US
-        if self.state is State.RELEASING and now_us >= self._until_us:
-            self.state = State.IDLE
-        if self.state is State.NEUTRAL:
+        if not armed:
+            self._neutral_until_us = min(self._neutral_until_us, now_us)
+        if now_us < self._neutral_until_us:
             return self.neutral(kind)
-        return self.release(kind) if self.state is State.RELEASING else None
+        return self.release(kind) if self.acts(now_us) else None
+
+    def acts(self, now_us: int) -> bool:
+        """Return True until the channels have been released for a while."""
+        return now_us < self._neutral_until_us + RELEASE_US
 
     def neutral(self, kind: Kind) -> list[int]:
         """Return the channels without thrust."""

@@ -13,6 +13,7 @@ from typing import Any
 from services.edges.edge import Refused
 from services.edges.mavlink.codec import COMPONENT
 
+AUTOPILOT = 1  # MAV_COMP_ID_AUTOPILOT1
 ARDUPILOT = 3  # MAV_AUTOPILOT_ARDUPILOTMEGA
 GROUND_STATION = 6  # MAV_TYPE_GCS
 ARMED = 0x80  # MAV_MODE_FLAG_SAFETY_ARMED
@@ -52,7 +53,6 @@ class Autopilot:
         self.rival: str | None = ""
         """Another sender in its name, which is asked too; None once the channel has answered a request."""
         self.system = 0  # system number of the autopilot; 0: none yet
-        self.component = 0
         self.kind: Kind | None = None
         self.armed = False
         self.mode = -1
@@ -80,11 +80,11 @@ class Autopilot:
             if system == self._ground_station and component != COMPONENT:
                 self._station_us = now_us
             return
-        if component != 1 or (self.system and system != self.system):
+        if component != AUTOPILOT or (self.system and system != self.system):
             return  # a camera, a gimbal, another vehicle
         if message.autopilot != ARDUPILOT or message.type not in KINDS:
             raise Refused(f"autopilot {message.autopilot} of type {message.type}: must be ArduPilot Rover or Sub")
-        self.system, self.component, self.kind = system, component, KINDS[message.type]
+        self.system, self.kind = system, KINDS[message.type]
         self.armed = bool(message.base_mode & ARMED)
         self.mode = message.custom_mode
         self.failsafe = message.system_status in (CRITICAL, EMERGENCY)
@@ -92,9 +92,8 @@ class Autopilot:
 
     def is_from(self, message: Any) -> bool:
         """Return True for a message of the autopilot."""
-        return (
-            self.system != 0 and message.get_srcSystem() == self.system and message.get_srcComponent() == self.component
-        )
+        sender = message.get_srcSystem(), message.get_srcComponent()
+        return self.system != 0 and sender == (self.system, AUTOPILOT)
 
     @property
     def is_manual(self) -> bool:

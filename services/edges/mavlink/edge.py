@@ -23,8 +23,8 @@ from ltv_mpc.messages import (
 )
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.edges.edge import Edge, LossCounter, Outgoing, Output, Received, Refused
-from services.edges.mavlink.actuation import Overrides, State
-from services.edges.mavlink.autopilot import Autopilot
+from services.edges.mavlink.actuation import Overrides
+from services.edges.mavlink.autopilot import AUTOPILOT, Autopilot
 from services.edges.mavlink.codec import COMPONENT, Codec, frames_of
 from services.edges.mavlink.download import ListRefused
 from services.edges.mavlink.mission import NOTICE, WARNING, MissionFollower
@@ -75,7 +75,7 @@ class MavlinkEdge(Edge):
         self.navigation = Navigation(settings.accuracy, dives=dives)
         self.overrides = Overrides(settings.vehicle)
         self._applied = AppliedReporter(settings.vehicle)
-        self._mission = MissionFollower(settings.speed_mps, dives=dives)
+        self._mission = MissionFollower(settings.speed_mps, self.command_id, dives=dives)
         self._numbers = LossCounter(256)
         self._seen_us: dict[str, int] = {}
         self._asked_us = -SECOND_US
@@ -163,7 +163,7 @@ class MavlinkEdge(Edge):
         """Return neutral, while armed, and the release, several times because frames may be lost."""
         yield from self._applied.report(self.plans, None, self.clock.read(now_us), "the edge has stopped")
         kind = self.autopilot.kind
-        if kind is not None and self.overrides.state is not State.IDLE:
+        if kind is not None and self.overrides.acts(now_us):
             rows = [self.overrides.neutral(kind)] * (RELEASES if self.autopilot.armed else 0)
             yield from map(self._override, (*rows, *[self.overrides.release(kind)] * RELEASES))
 
@@ -191,7 +191,7 @@ class MavlinkEdge(Edge):
             yield self._send(request)._replace(channel=self.autopilot.rival)
         yield self._send(request)
         self._requests_ns.append(now_us * 1000)
-        yield from self._mission.commands(self.command_id)
+        yield from self._mission.commands()
         for name, (number, interval_us) in INTERVALS_US.items():
             if now_us > self._seen_us.get(name, -SILENT_US) + SILENT_US - SECOND_US:
                 yield self._send(
@@ -215,7 +215,7 @@ class MavlinkEdge(Edge):
 
     @property
     def _target(self) -> tuple[int, int]:
-        return self.autopilot.system, self.autopilot.component
+        return self.autopilot.system, AUTOPILOT
 
     def _override(self, row: list[int]) -> Outgoing:
         return self._send(self._codec.make.rc_channels_override_encode(*self._target, *row))

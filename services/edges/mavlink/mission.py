@@ -11,8 +11,6 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
-from msgspec import structs
-
 from ltv_mpc.messages import Acknowledgement, Action, Command, Pair, Plan
 from ltv_mpc.references import Origin
 from services.edges.edge import Output, Refused
@@ -65,13 +63,13 @@ class Progress:
 class MissionFollower:
     """Commands for mission and fence, which are repeated until the controller has replied, and what is reached."""
 
-    def __init__(self, speed_mps: float, *, dives: bool) -> None:
-        self._speed_mps, self._dives = speed_mps, dives
+    def __init__(self, speed_mps: float, command_id: Callable[[], int], *, dives: bool) -> None:
+        """``command_id`` returns a new identifier for a ``Command``."""
+        self._speed_mps, self._command_id, self._dives = speed_mps, command_id, dives
         self._origin: Origin | None = None
         self._downloads = {kind: Download(kind) for kind in ListKind}
         self._changed: set[ListKind] = set()
-        self._due: dict[ListKind, Command] = {}  # that the controller has not acknowledged
-        self._sent: dict[ListKind, int] = {}  # newest command of each kind
+        self._due: dict[ListKind, Command] = {}  # newest of each kind that the controller has not acknowledged
         self._operators: deque[int] = deque(maxlen=100)  # commands of others that end the mission if accepted
         self._progress: Progress | None = None
         self.current: int | None = None
@@ -113,11 +111,9 @@ class MissionFollower:
             self._convert(self._origin, first)
         return ()
 
-    def commands(self, command_id: Callable[[], int]) -> Iterator[Command]:
-        """Yield the commands that have no reply yet, with new identifiers."""
-        for kind, command in list(self._due.items()):
-            self._sent[kind] = command_id()
-            yield structs.replace(command, command_id=self._sent[kind])
+    def commands(self) -> tuple[Command, ...]:
+        """Return the commands that have no reply yet."""
+        return tuple(self._due.values())
 
     def operator(self, command: Command) -> None:
         """Take a command of somebody else."""
@@ -128,8 +124,8 @@ class MissionFollower:
         """Take a reply of the controller. Return the refusal if it rejects the newest mission or fence."""
         if reply.command_id in self._operators and reply.accepted and self._progress is not None:
             self._end("mission ended by a command of the operator")
-        for kind in (kind for kind in ListKind if self._sent.get(kind) == reply.command_id):
-            self._due.pop(kind, None)
+        for kind in [kind for kind, command in self._due.items() if command.command_id == reply.command_id]:
+            del self._due[kind]
             if not reply.accepted:
                 self._progress = None if kind is MISSION else self._progress
                 return ListRefused(f"{kind.name.lower()} rejected: {reply.why}")
@@ -150,18 +146,16 @@ class MissionFollower:
             mission = mission_of(items, origin, self._speed_mps, self.here, dives=self._dives, first=first)
             if mission is not None:
                 self._progress = Progress(mission)
-                self._ask(MISSION, Command(command_id=0, action=Action.FOLLOW, reference_toml=mission.toml))
+                self._ask(MISSION, Action.FOLLOW, reference_toml=mission.toml)
             elif self._progress is not None:
                 self._end("mission cleared: holds")
-                self._ask(MISSION, Command(command_id=0, action=Action.HOLD))
+                self._ask(MISSION, Action.HOLD)
         if FENCE in self._changed:
             self._changed.discard(FENCE)
-            fence = fence_of(self._downloads[FENCE].items, origin)
-            self._ask(FENCE, Command(command_id=0, action=Action.FENCE, fence_toml=fence))
+            self._ask(FENCE, Action.FENCE, fence_toml=fence_of(self._downloads[FENCE].items, origin))
 
-    def _ask(self, kind: ListKind, command: Command) -> None:
-        self._due[kind] = command
-        self._sent.pop(kind, None)  # a reply to the one before is none to this one
+    def _ask(self, kind: ListKind, action: Action, **toml: Any) -> None:
+        self._due[kind] = Command(command_id=self._command_id(), action=action, **toml)
 
     def _end(self, text: str) -> None:
         self._progress = None

@@ -146,8 +146,8 @@ class Navigation:
         velocity, rates = R @ (u, v, w), R @ (*_finite(message.rollspeed), q, r)
         sample = _Position(message.time_usec // 1000, (x, y, z), (velocity[0], velocity[1], velocity[2]))
         heading = math.atan2(R[1, 0], R[0, 0])
-        attitude = _Attitude(sample.ms, heading, (q * math.sin(roll) + r * math.cos(roll)) / math.cos(pitch))
-        estimate = self._estimate(sample, attitude, message.time_usec * 1000)
+        rate = (q * math.sin(roll) + r * math.cos(roll)) / math.cos(pitch)
+        estimate = self._estimate(sample, heading, rate, message.time_usec * 1000)
         pose, twist = _matrix("pose", message.pose_covariance), _matrix("velocity", message.velocity_covariance)
         if pose is not None or twist is not None:
             assumed_pose, assumed_twist = self._accuracy.pose_and_twist
@@ -191,32 +191,25 @@ class Navigation:
             if position.ms > newest.ms:
                 return
             self._waiting.popleft()
-            before = [one for one in self._attitudes if one.ms <= position.ms]
-            after = next(one for one in self._attitudes if one.ms >= position.ms)
-            if before and newest.ms - position.ms <= MAX_WAIT_MS:
-                yield self._estimate(position, _between(before[-1], after, position.ms), position.ms * MS)
+            if self._attitudes[0].ms <= position.ms and newest.ms - position.ms <= MAX_WAIT_MS:
+                ms, headings, rates = zip(*self._attitudes, strict=True)
+                heading = wrapped(float(np.interp(position.ms, ms, np.unwrap(headings))))
+                yield self._estimate(position, heading, float(np.interp(position.ms, ms, rates)), position.ms * MS)
 
-    def _estimate(self, position: _Position, attitude: _Attitude, t_ns: int) -> Estimate:
+    def _estimate(self, position: _Position, heading_rad: float, rate_radps: float, t_ns: int) -> Estimate:
         (north, east, down), (v_north, v_east, v_down) = position.place_m, position.velocity_mps
         return Estimate(
             t_ns=t_ns,
             north_m=north,
             east_m=east,
             depth_m=down if self._dives else None,
-            heading_rad=attitude.heading_rad,
-            yaw_rate_radps=attitude.rate_radps,
+            heading_rad=heading_rad,
+            yaw_rate_radps=rate_radps,
             velocity_north_mps=v_north,
             velocity_east_mps=v_east,
             velocity_down_mps=v_down if self._dives else None,
             covariance=self._accuracy.covariance,
         )
-
-
-def _between(a: _Attitude, b: _Attitude, ms: int) -> _Attitude:
-    """Return the attitude at a time between two samples."""
-    s = (ms - a.ms) / (b.ms - a.ms) if b.ms > a.ms else 0.0
-    heading = wrapped(a.heading_rad + s * wrapped(b.heading_rad - a.heading_rad))
-    return _Attitude(ms, heading, a.rate_radps + s * (b.rate_radps - a.rate_radps))
 
 
 def _finite(*values: float) -> tuple[float, ...]:

@@ -29,17 +29,7 @@ SERVICES = {
 }
 """Request, response and hash of each service. The hash is that of a type with an event too: it is written down."""
 
-DECODE_ERRORS = (
-    SerdeError,
-    AssertionError,
-    ValueError,
-    IndexError,
-    KeyError,
-    TypeError,
-    OverflowError,
-    MemoryError,
-    struct.error,
-)
+DECODE_ERRORS = SerdeError, AssertionError, ValueError, LookupError, TypeError, OverflowError, MemoryError, struct.error
 """Exceptions of rosbags and numpy on bytes that are no message of the type; UnicodeDecodeError is a ValueError."""
 
 

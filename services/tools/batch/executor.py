@@ -9,18 +9,16 @@ import contextlib
 import multiprocessing
 import os
 import signal
-import time
-import traceback
+import threading
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
 from multiprocessing.connection import Connection
-from multiprocessing.context import SpawnProcess
 from typing import Any, TypeVar
 
 from ltv_mpc.errors import ConfigError, one_line
 from services.run.host_resources import core_count
-from services.supervisor.parent_death import die_with_parent
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -31,8 +29,8 @@ MAX_LOSSES = 3
 POLL_S = 0.2
 """Interval at which a stop request is noticed."""
 
-TERM_S = 5.0
-"""Time for all workers to end after SIGTERM; those that are left are killed."""
+SPAWN = multiprocessing.get_context("spawn")
+"""Not fork: a child would inherit threads of BLAS and of a bus session."""
 
 AHEAD = 3
 """Jobs submitted for each worker of a cluster, so that the next one is ready when one ends."""
@@ -116,66 +114,47 @@ def in_order(
 
 
 class _Processes:
-    """Processes of this machine, each with a pipe and a thread that waits at it. They always end with this process."""
+    """Processes of this machine, each a pool of its own, so that the loss of one is that of one job.
 
-    losses: tuple[type[BaseException], ...] = (WorkerLost,)
+    Each holds the end of a pipe whose other end only this process has: they end with this process, however it ends.
+    """
+
+    losses: tuple[type[BaseException], ...] = (BrokenProcessPool,)
 
     def __init__(self, work: Callable[[Any], Any], count: int) -> None:
         self.places = count
         self._work = work
-        self._threads = ThreadPoolExecutor(count)
-        self._idle: list[Connection] = []
-        self._all: dict[Connection, SpawnProcess] = {}
+        self._theirs, self._ours = SPAWN.Pipe(duplex=False)
+        self._newest: dict[ProcessPoolExecutor, Future[Any]] = {}
 
     def submit(self, job: Any) -> Future[Any]:
         """Have a process do a job; there are never more jobs than ``places``."""
-        return self._threads.submit(self._do, self._idle.pop() if self._idle else self._start(), job)
+        for pool in [pool for pool, newest in self._newest.items() if newest.done()]:
+            with contextlib.suppress(BrokenProcessPool):
+                self._newest[pool] = pool.submit(self._work, job)
+                return self._newest[pool]
+        pool = ProcessPoolExecutor(1, SPAWN, _begin, (self._theirs,))
+        self._newest[pool] = pool.submit(self._work, job)
+        return self._newest[pool]
 
     def close(self) -> None:
         """Return when no process is left."""
-        for process in self._all.values():
-            process.terminate()
-        until = time.monotonic() + TERM_S
-        for process in self._all.values():
-            process.join(max(until - time.monotonic(), 0.0))
-            process.kill()
-            process.join()
-        self._threads.shutdown()
-
-    def _do(self, pipe: Connection, job: Any) -> Any:
-        try:
-            pipe.send(job)
-            error, result = pipe.recv()
-        except (EOFError, ConnectionError):
-            pipe.close()
-            raise WorkerLost from None
-        self._idle.append(pipe)
-        if error is not None:
-            raise error
-        return result
-
-    def _start(self) -> Connection:
-        # spawn: a forked child would inherit threads of BLAS and of a bus session
-        context = multiprocessing.get_context("spawn")
-        pipe, theirs = context.Pipe()
-        self._all[pipe] = context.Process(target=_serve, args=(theirs, self._work, os.getpid()), daemon=True)
-        self._all[pipe].start()
-        theirs.close()
-        return pipe
+        self._ours.close()
+        for pool in self._newest:
+            pool.shutdown(cancel_futures=True)
+        self._theirs.close()
 
 
-def _serve(pipe: Connection, work: Callable[[Any], Any], parent: int) -> None:
-    """Do the jobs that come, in a process of ``_Processes``; only its parent handles an interrupt of the terminal."""
-    die_with_parent(parent)
+def _begin(theirs: Connection) -> None:
+    """Prepare a process of ``_Processes``; only its parent handles an interrupt of the terminal."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, args=(theirs,), daemon=True).start()
+
+
+def _end_with_parent(theirs: Connection) -> None:
     with contextlib.suppress(EOFError):
-        while True:
-            job = pipe.recv()
-            try:
-                pipe.send((None, work(job)))
-            except Exception as error:  # the reader raises it
-                error.add_note(traceback.format_exc())
-                pipe.send((error, None))
+        theirs.recv()
+    os._exit(1)  # in the middle of a job
 
 
 class _Cluster:

@@ -18,8 +18,7 @@ import gc
 import random
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import msgspec
@@ -97,37 +96,19 @@ def measure(
 
     ``progress`` is called after each cycle, also of the warm-up.
     """
-    samples = [Samples(episodes[0].config) for _ in candidates]
-    _run(warm_up, candidates, [Samples(warm_up.config) for _ in candidates], order, progress)
-    for episode in episodes:
-        _run(episode, candidates, samples, order, progress)
+    samples, unused = ([Samples(of.config) for _ in candidates] for of in (episodes[0], warm_up))
+    for episode, into in ((warm_up, unused), *((episode, samples) for episode in episodes)):
+        controllers = [_MeasuredController(who, episode, of) for who, of in zip(candidates, into, strict=True)]
+        bench = _Bench(episode, controllers, order, progress)
+        gc.collect()  # then not during cycles, as in the service: the bench collects between them
+        gc.freeze()
+        gc.disable()
+        try:
+            episode.feed(bench, bench.is_done)
+        finally:
+            gc.enable()
+            gc.unfreeze()
     return samples
-
-
-def _run(
-    episode: Episode,
-    candidates: Sequence[Candidate],
-    samples: Sequence[Samples],
-    order: random.Random,
-    progress: Callable[[], None],
-) -> None:
-    controllers = [_MeasuredController(who, episode, into) for who, into in zip(candidates, samples, strict=True)]
-    bench = _Bench(episode, controllers, order, progress)
-    with _collections_held_back():
-        episode.feed(bench, lambda: bench.measured >= episode.cycles)
-
-
-@contextmanager
-def _collections_held_back() -> Iterator[None]:
-    """Suspend garbage collection during cycles, as the service does; the bench collects between cycles."""
-    gc.collect()
-    gc.freeze()
-    gc.disable()
-    try:
-        yield
-    finally:
-        gc.enable()
-        gc.unfreeze()
 
 
 class _Bench(ControllerNode):
@@ -141,13 +122,17 @@ class _Bench(ControllerNode):
         progress: Callable[[], None],
     ) -> None:
         super().__init__(episode.vehicle, episode.reference, episode.config)
-        self.measured = 0
+        self._left = episode.cycles
         self._controllers = controllers
         self._exact = _Exact()
         self._order = order
         self._progress = progress
         self._begun = False
         self._other_memory = np.zeros(FLUSH_BYTES // 8)
+
+    def is_done(self) -> bool:
+        """Return True when all cycles of the episode are measured."""
+        return self._left <= 0
 
     def cycle(self, estimate: Estimate, t_ns: int) -> Plan:
         """Run one cycle of every candidate and of the driver."""
@@ -164,7 +149,7 @@ class _Bench(ControllerNode):
             if self._begun:  # the first cycle starts from a crude guess
                 for controller, measured_plan in plans:
                     controller.keep(measured_plan, self._exact)
-                self.measured += 1
+                self._left -= 1
                 self._progress()
             self._begun = True
         gc.collect(1)

@@ -13,7 +13,7 @@ import numpy as np
 import piqp
 from scipy.sparse import csc_matrix
 
-from ltv_mpc.control.ocp.problem import Problem, is_finite
+from ltv_mpc.control.ocp.problem import Problem
 from ltv_mpc.control.solvers.interface import Result
 from ltv_mpc.control.solvers.sparse import DYNAMICS, HARD, SparseLayout, fill, fits, solution_of
 from ltv_mpc.messages import Solve, SolveStatus
@@ -65,9 +65,6 @@ class PiqpYardstick:
     def solve(self, problem: Problem, shift: float, *, last: bool = True) -> Result:  # noqa: ARG002
         """Solve the QP (see ``Solver``)."""
         p = problem
-        if not is_finite(p):
-            why = "the problem is not finite"
-            return Result(np.zeros_like(p.h), Solve(status=SolveStatus.NON_FINITE, why=why))
         if self._layout is None or not fits(p, self._layout.masks):
             self.set_up(p)
         assert self._layout is not None
@@ -76,8 +73,7 @@ class PiqpYardstick:
         status = self._solver.solve()
         x, info = self._solver.result.x, self._solver.result.info
         if not np.isfinite(x).all():
-            self._solver = None
-            why = "PIQP returned a value that is not finite; rebuilt"
+            why = "PIQP returned a value that is not finite"
             return Result(np.zeros_like(p.h), Solve(status=SolveStatus.NON_FINITE, why=why))
         code = piqp.Status
         known = {

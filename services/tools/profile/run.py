@@ -144,8 +144,7 @@ def run(
 
     for episodes in by_horizon:
         stages = episodes[0].config.stages
-        (warm_up,) = problems.simulated(stages, 1, seed)[:1]
-        warm_up = warm_up._replace(cycles=WARM_UP)
+        warm_up = problems.simulated(stages, 1, seed)[0]._replace(cycles=WARM_UP)
         measured = measure(episodes, candidates, warm_up=warm_up, order=order, progress=advance)
         if not measured[0].cycle_us:
             raise ConfigError("option --run", "", "has no solved cycle of the controller: name another run")

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from services.runtime.console import fold
+from services.runtime.console import columns, fold
 from services.tools.profile import machine_description
 from services.tools.profile.measure import STAGES
 from services.tools.profile.run import Profile, Row
 
-NAMES = f"{'horizon':<18} {'solver':<17}"
+CYCLES = ("solver", "horizon", "hot", "turns", "cold", "p99", "max", *("of PIQP: hot", "turns", "cold", "p99"),
+          *("iterations", "p99"), *("off (N)", "p99", "max"), "status")  # fmt: skip
 
 
 def text(profile: Profile) -> str:
@@ -17,9 +18,11 @@ def text(profile: Profile) -> str:
     kinds = ", ".join(f"{count} {kind}" for kind, count in profile.problems.items())
     return "\n".join(
         [
-            *_cycles(profile.rows),
+            "cycle (us): medians, and p99 and max of turns",
+            *columns([CYCLES, *map(_cycle, profile.rows)], numbers=True),
             "",
-            *_stages(profile.rows),
+            "stages of a cycle in turns (us): medians",
+            *columns([("solver", "horizon", *STAGES), *map(_stages, profile.rows)], numbers=True),
             "",
             *map(
                 fold,
@@ -37,36 +40,23 @@ def text(profile: Profile) -> str:
     )
 
 
-def _cycles(rows: Sequence[Row]) -> list[str]:
-    times = f"{'hot':>7} {'turns':>7} {'cold':>7} {'p99':>7} {'max':>6}"
-    ratios = f"{'hot':>5} {'turns':>5} {'cold':>5} {'p99':>5}"
-    lines = [
-        f"{'':<36} {'cycle (us): medians, of turns':^38}  {'of PIQP':^23}  {'iterations':^11}  {'thrust off (N)':^23}",
-        f"{NAMES} {times}  {ratios}  {'median':>6} {'p99':>4}  {'median':>7} {'p99':>7} {'max':>7}  status",
+def _cycle(row: Row) -> Sequence[str]:
+    hot, turns, cold, i, off = row.repeated_us, row.cycle_us, row.flushed_us, row.iterations, row.thrust_error_N
+    times = (hot.median, turns.median, cold.median, turns.p99, turns.max)
+    ratios = (row.repeated_ratio.median, row.ratio.median, row.flushed_ratio.median, row.ratio.p99)
+    return [
+        *_names(row),
+        *(f"{time:.0f}" for time in times),
+        *(f"{ratio:.2f}" for ratio in ratios),
+        *(f"{count:.0f}" for count in (i.median, i.p99)),
+        *(f"{error:.1e}" if 0 < error < 1e-3 else f"{error:.3f}" for error in (off.median, off.p99, off.max)),
+        ", ".join(f"{name} {count}" for name, count in row.status.items()),
     ]
-    for row in rows:
-        hot, turns, cold, i, e = row.repeated_us, row.cycle_us, row.flushed_us, row.iterations, row.thrust_error_N
-        lines.append(
-            f"{_names(row)} {hot.median:>7.0f} {turns.median:>7.0f} {cold.median:>7.0f} {turns.p99:>7.0f}"
-            f" {turns.max:>6.0f}  {row.repeated_ratio.median:>5.2f} {row.ratio.median:>5.2f}"
-            f" {row.flushed_ratio.median:>5.2f} {row.ratio.p99:>5.2f}  {i.median:>6.0f} {i.p99:>4.0f}"
-            f"  {_newton(e.median)} {_newton(e.p99)} {_newton(e.max)}"
-            f"  {', '.join(f'{name} {count}' for name, count in row.status.items())}"
-        )
-    return lines
 
 
-def _stages(rows: Sequence[Row]) -> list[str]:
-    heads = " ".join(f"{stage:>9}" for stage in STAGES)
-    lines = [f"{'':<36} stages of a cycle interleaved, medians (us)", f"{NAMES} {heads}"]
-    lines += [f"{_names(row)} " + " ".join(f"{row.stage_us[stage].median:>9.1f}" for stage in STAGES) for row in rows]
-    return lines
+def _stages(row: Row) -> Sequence[str]:
+    return [*_names(row), *(f"{row.stage_us[stage].median:.1f}" for stage in STAGES)]
 
 
-def _names(row: Row) -> str:
-    horizon = f"{row.stages} stages, {row.horizon_s:.1f} s"
-    return f"{horizon:<18} {row.solver:<17}"
-
-
-def _newton(error: float) -> str:
-    return f"{error:>7.1e}" if 0 < error < 1e-3 else f"{error:>7.3f}"
+def _names(row: Row) -> tuple[str, str]:
+    return row.solver, f"{row.stages} stages, {row.horizon_s:.1f} s"

@@ -19,7 +19,6 @@ from benchmarks.faults.effects import (
 )
 from benchmarks.faults.message_faults import (
     Delivery,
-    FaultyLockStep,
     MessageFault,
     MessageFaultInterval,
     MessageFaults,
@@ -44,7 +43,7 @@ from ltv_mpc.messages import (
     Solve,
     SolveStatus,
 )
-from ltv_mpc.node import Grid, Inbox, OnMessage, ReceivedMessage
+from ltv_mpc.node import Grid, Inbox, ReceivedMessage
 from ltv_mpc.references import Point
 from ltv_mpc.validation import rejection_reason
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -146,26 +145,6 @@ class Speaker:
 
     def step(self, t_ns: int, inbox: Inbox) -> list[Message]:  # noqa: ARG002
         return [depth(t_ns), CompassHeading(t_ns=t_ns, heading_rad=1e-10 * t_ns)]
-
-
-class Listener:
-    name = "estimator"
-    schedule = OnMessage((PressureDepth,))
-    reads: tuple[type[Message], ...] = (PressureDepth,)
-    writes: tuple[type[Message], ...] = ()
-
-    def __init__(self) -> None:
-        self.heard: list[tuple[int, int]] = []
-
-    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:  # noqa: ARG002
-        self.heard += [(a.received_t_ns // MS, a.sequence) for a in inbox]
-        return []
-
-
-def test_in_lock_step_a_delayed_message_is_heard_when_it_arrives() -> None:
-    listener = Listener()
-    FaultyLockStep(message_faults(MessageFault.DELAY, 0.25), [Speaker(), listener], start_ns=0).advance(3 * S)
-    assert sorted(listener.heard) == sorted((100 * i + 250 * (10 <= i < 20), i) for i in range(31))
 
 
 # --- sensors: a pressure sensor that fails beside a sound compass ----------------------------------------------------

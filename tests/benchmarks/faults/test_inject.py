@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from benchmarks.faults import inject
-from benchmarks.faults.inject import Injection, Interference, unlike_at_a
+from benchmarks.faults.inject import Injection, Interference
 from benchmarks.faults.message_faults import MessageFault
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import PressureDepth
@@ -59,24 +59,3 @@ def test_what_cannot_be_done_is_refused_by_field_and_bound(word, said):
     with pytest.raises(ConfigError) as refused:
         inject.parse(word)
     assert said in str(refused.value)
-
-
-@pytest.mark.parametrize("harm", MessageFault)
-@pytest.mark.parametrize("said_at_b", [False, True])
-def test_with_what_is_unlike_at_a_a_recorder_there_has_every_frame_of_both_routers(harm, said_at_b):
-    """What it hears on the keys themselves is A's: the sent frames of others, what arrives of the node under test."""
-    way = Interference([fault(harm, 0.25 if harm is MessageFault.DELAY else 0.6)])
-    at_a, at_b, handed = set(), set(), set()
-    for i in range(30):
-        now_ns, sent = i * 100 * MS, frame(i)
-        come = way.carry(TOPIC, sent, now_ns)
-        arrived = {payload for _, payload in come}
-        at_a |= arrived if said_at_b else {sent}
-        at_b |= {sent} if said_at_b else arrived
-        unlike = unlike_at_a(sent, come, now_ns, said_at_b=said_at_b)
-        assert unlike == [] or S <= now_ns <= 2 * S
-        handed |= set(unlike)
-    assert at_b <= at_a | handed
-    if harm in (MessageFault.NOT_A_NUMBER, MessageFault.CLOCK_JUMP):  # the same numbers of the sequence, other bytes
-        assert at_a != at_b
-        assert handed

@@ -19,7 +19,7 @@ from ltv_mpc.geofence.fence import Fence
 from ltv_mpc.messages import Action, Applied, Command, Estimate, Health
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.edges.edge import Outgoing, Received, Refused
-from services.edges.mavlink.actuation import Overrides, State, channels, pwm_us
+from services.edges.mavlink.actuation import Overrides, channels, pwm_us
 from services.edges.mavlink.autopilot import Kind
 from services.edges.mavlink.codec import frames_of
 from services.edges.mavlink.edge import MavlinkEdge, Settings
@@ -103,7 +103,7 @@ def driving(**link: Any) -> MavlinkFlight:
     flight.arm()
     flight.command(action="arm")
     flight.fly(10.0)
-    assert flight.edge.overrides.state is State.DRIVING
+    assert not flight.edge.idle
     assert flight.autopilot.overrides
     return flight
 
@@ -124,11 +124,10 @@ def test_without_the_ground_station_it_lets_go_and_does_not_stand_for_it() -> No
     flight = driving()
     flight.station_beats = False
     flight.fly(3.9)
-    assert flight.edge.overrides.state is State.DRIVING
-    while flight.edge.overrides.state is State.DRIVING:
+    assert not flight.edge.idle
+    while not flight.edge.idle:
         flight.fly(0.02)
     flight.fly(0.1)
-    assert flight.edge.overrides.state is State.NEUTRAL
     assert {us for us, _ in flight.autopilot.overrides.values()} == {1500}
     flight.fly(8.0)
     assert flight.autopilot.failsafe  # the edge has not stood for the ground station
@@ -167,7 +166,7 @@ def test_what_ends_it_is_told_and_the_channels_are_let_go(cause: Callable[[Mavli
     flight.autopilot.actuated_while_disarmed = 0
     flight.fly(6.9)
     assert flight.autopilot.overrides == {}
-    assert flight.edge.overrides.state is State.IDLE
+    assert not flight.edge.overrides.acts(flight.host_us)
     assert any(line.startswith(f"LTV-MPC: not driving: {text};") for line in flight.autopilot.log)
     assert flight.autopilot.actuated_while_disarmed == 0
 
@@ -251,6 +250,7 @@ def position(ms: int, x: float = 0.0, vx: float = 0.0) -> Any:
 
 def test_an_estimate_has_the_attitude_between_two_samples_on_the_shorter_way() -> None:
     navigation = Navigation(Accuracy(), dives=True)
+    assert list(navigation.position(position(950, 7.0, 1.5))) == []  # before the first attitude: it never has one
     assert list(navigation.attitude(attitude(1000, math.pi - 0.05, 1.0))) == []
     assert list(navigation.position(position(1050, 7.0, 1.5))) == []  # the attitude behind it is to come
     (estimate,) = navigation.attitude(attitude(1100, -math.pi + 0.05, 1.0))

@@ -233,9 +233,9 @@ def test_a_plan_that_is_older_than_the_reply_says_nothing_of_the_mission() -> No
 
 
 def test_a_late_reply_to_the_mission_before_is_none_to_the_new_one() -> None:
-    follower = MissionFollower(0.5, dives=False)
+    numbers, make = iter(range(1, 9)), codec().make
+    follower = MissionFollower(0.5, lambda: next(numbers), dives=False)
     follower.here = HERE
-    make, numbers = codec().make, iter(range(1, 9))
     follower.take("GPS_GLOBAL_ORIGIN", make.gps_global_origin_encode(502000000, -51000000, 0), 0, by_station=True)
 
     def send(north_m: float, now_us: int) -> None:
@@ -245,11 +245,11 @@ def test_a_late_reply_to_the_mission_before_is_none_to_the_new_one() -> None:
                 follower.take("MISSION_ITEM_INT", one, at_us, by_station=True)
 
     send(10.0, 0)
-    (first,) = follower.commands(lambda: next(numbers))
+    (first,) = follower.commands()
     send(20.0, 10_000_000)
     reply = Acknowledgement(t_ns=0, command_id=1, accepted=True, authority=Authority.CONTROLLER, why="")
     assert follower.acknowledged(reply) is None
-    (second,) = follower.commands(lambda: next(numbers))
+    (second,) = follower.commands()
     assert second.reference_toml != first.reference_toml
 
 

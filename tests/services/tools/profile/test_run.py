@@ -13,19 +13,23 @@ import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc.control.config import MotionLimits
+from ltv_mpc.control.config import ControllerConfig, MotionLimits
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.control.ocp.problem import Problem
+from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.solvers.interface import Result
 from ltv_mpc.control.solvers.recorder import RecordingSolver
-from ltv_mpc.messages import Applied, CycleTiming, Estimate, Message, Plan, SolveStatus
-from ltv_mpc.node import Cycle, Inbox, Node
+from ltv_mpc.messages import Estimate, Message, Plan, SolveStatus
+from ltv_mpc.node import Inbox, Node
+from ltv_mpc.vehicle.parameters import Vehicle
 from services.cli.app import run
 from services.recording.reader import Recording
+from services.tools.c_code import solved_cycle
 from services.tools.profile import measure as measurement
 from services.tools.profile import problems
 from services.tools.profile import run as latency
 from services.tools.profile.measure import STAGES, Candidate, Samples, measure, piqp_native, solver_by_name
+from services.tools.profile.piqp_yardstick import PiqpYardstick
 from services.tools.python_run import simulate
 
 OSQP, PIQP = solver_by_name("osqp"), piqp_native()
@@ -37,25 +41,22 @@ def measured(episodes: list[problems.Episode], *candidates: Candidate) -> list[S
     return measure(episodes, candidates, warm_up=warm_up, order=random.Random(1), progress=lambda: None)
 
 
-class Probe:
-    """Stands in the controller's place and keeps what it hears."""
+class Probe(ControllerNode):
+    """Stands in the controller's place and keeps what it hears, and what it would have planned."""
 
-    name = "controller"
-    schedule = Cycle(300_000_000)
-    reads: tuple[type[Message], ...] = (Estimate, Applied, CycleTiming)
-    writes: tuple[type[Message], ...] = (Plan,)
-
-    def __init__(self) -> None:
+    def __init__(self, episode: problems.Episode) -> None:
+        super().__init__(episode.vehicle, episode.reference, episode.config)
         self.estimates: list[Estimate] = []
+        self.plans: list[Plan] = []
 
     def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
-        del t_ns
         self.estimates += [arrival.message for arrival in inbox if isinstance(arrival.message, Estimate)]
+        self.plans += [message for message in super().step(t_ns, inbox) if isinstance(message, Plan)]
         return []
 
 
 def heard(episode: problems.Episode, estimates: int) -> list[Estimate]:
-    probe = Probe()
+    probe = Probe(episode)
     episode.feed(probe, lambda: len(probe.estimates) >= estimates)
     return probe.estimates
 
@@ -160,6 +161,15 @@ def test_limits_of_the_motion_are_part_of_the_problem_for_all() -> None:
     assert max(np.median(of.thrust_error_N) for of in found) < 1e-3
 
 
+def test_after_a_problem_that_is_not_finite_the_yardstick_solves_as_before() -> None:
+    vehicle, yardstick = Vehicle.load("paper"), PiqpYardstick()
+    problem = solved_cycle(vehicle, settled(ControllerConfig(horizon_s=5.0), vehicle)).problem
+    before = yardstick.solve(problem, 0.0)
+    failed = yardstick.solve(problem._replace(h=np.full_like(problem.h, np.nan)), 0.0)
+    assert (failed.solve.status, failed.z.any()) == (SolveStatus.NON_FINITE, False)
+    np.testing.assert_allclose(yardstick.solve(problem, 0.0).z, before.z, rtol=0, atol=1e-7)
+
+
 def test_no_garbage_is_collected_within_a_cycle() -> None:
     episode = problems.simulated(2, 1, seed=0)[0]
     seen: list[bool] = []
@@ -209,20 +219,11 @@ def dive(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_recorded_run_gives_the_controller_what_it_got(dive: Path) -> None:
     (episode,) = problems.recorded(str(dive), 8, cycles=10)
-    node = ControllerNode(episode.vehicle, episode.reference, episode.config)
-    plans: list[Plan] = []
-
-    class Kept(Probe):
-        reads = ControllerNode.reads  # the command to arm too
-
-        def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
-            plans.extend(plan for plan in node.step(t_ns, inbox) if isinstance(plan, Plan))
-            return []
-
-    episode.feed(Kept(), lambda: False)
+    probe = Probe(episode)
+    episode.feed(probe, lambda: False)
     recorded = [message.typed()[0] for message in Recording(dive / "run.mcap") if message.kind is Plan]
-    assert len(plans) == len(recorded) > 25
-    for made, was in zip(plans, recorded, strict=True):
+    assert len(probe.plans) == len(recorded) > 25
+    for made, was in zip(probe.plans, recorded, strict=True):
         assert isinstance(was, Plan)
         assert made.cycle_t_ns == was.cycle_t_ns
         np.testing.assert_array_equal(made.thrust_N, was.thrust_N)
