@@ -29,16 +29,7 @@ import numpy.typing as npt
 
 from ltv_mpc.messages import Array, Estimate, Pair, ReferenceStart, Times
 from ltv_mpc.references.limits import path_limits
-from ltv_mpc.references.schedule import (
-    DEPTH,
-    EAST,
-    NORTH,
-    TIME,
-    WAY,
-    Schedule,
-    advance_target,
-    target_at,
-)
+from ltv_mpc.references.schedule import DEPTH, EAST, NORTH, TIME, WAY, Schedule, advance_target, target_at
 from ltv_mpc.references.types import Hold, Point, Reference
 from ltv_mpc.vehicle.parameters import Vehicle
 
