@@ -28,7 +28,7 @@ from ltv_mpc.messages import Array, Triple
 from ltv_mpc.vehicle.dynamics import coefficients, heave_acceleration, rates
 from ltv_mpc.vehicle.flow import lag_weights
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
-from ltv_mpc.vehicle.thruster import revolutions, thrust
+from ltv_mpc.vehicle.propulsion import revolutions, thrust
 from sim.scenario import Mismatch
 from sim.water.column import WaterSample, gradient_at, velocity_at
 

@@ -29,17 +29,7 @@ import numpy.typing as npt
 
 from ltv_mpc.messages import Array, Estimate, Pair, ReferenceStart, Times
 from ltv_mpc.references.limits import path_limits
-from ltv_mpc.references.schedule import (
-    DEPTH,
-    EAST,
-    NORTH,
-    TIME,
-    WAY,
-    Schedule,
-    advance_target,
-    depths_at,
-    target_at,
-)
+from ltv_mpc.references.schedule import DEPTH, EAST, NORTH, TIME, WAY, Schedule, advance_target, target_at
 from ltv_mpc.references.types import Hold, Point, Reference
 from ltv_mpc.vehicle.parameters import Vehicle
 
@@ -314,11 +304,17 @@ class Follower:
         ----------
         t_ns : (N+1,) knots of a plan (ns).
         """
-        track, rate = self._track, self.reference.descent_rate_mps
+        track, max_rate = self._track, self.reference.descent_rate_mps
         if track is None or track.depth_m is None:
             return None
-        start = track.start
-        return depths_at(track.schedule.table, self._tau_s, self._rate, t_ns, start.t_ns, start.depth_m, rate)
+        (time, _, _, _, depths), start = track.schedule.table, track.start
+        at = self._tau_s + self._rate * (t_ns - t_ns[0]) * 1e-9
+        wanted, way = np.interp(at, time, depths), np.maximum((t_ns - start.t_ns) * 1e-9, 0.0) * max_rate
+        depth = np.minimum(np.maximum(wanted, start.depth_m - way), start.depth_m + way)
+        i = np.minimum(np.searchsorted(time, at, side="right"), len(time) - 1)  # column behind the target
+        step_s = np.where(at < time[-1], time[i] - time[i - 1], np.inf)
+        follows = self._rate * (depths[i] - depths[i - 1]) / step_s
+        return depth, np.where(depth == wanted, follows, np.copysign(max_rate, wanted - start.depth_m))
 
     def places_ahead(self, lateral: Array, current: Pair, seconds: Array) -> Array | None:
         """Return where the vehicle will be: on the path from the target on, or on the straight line to a point.

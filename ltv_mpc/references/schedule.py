@@ -275,36 +275,6 @@ def feasible_rate(table: Array, tau: float, ahead_s: float, north: float, east: 
 
 
 @jit
-def depths_at(
-    table: Array, tau: float, rate: float, t_ns: Times, start_ns: int, start: float, max_rate: float
-) -> tuple[Array, Array]:
-    """Return depth (m) and sinking speed (m/s) of the target at the knots, each (N+1,).
-
-    Parameters
-    ----------
-    table : (5, M) table of the schedule.
-    tau : time of the schedule at the first knot (s).
-    rate : schedule seconds per vehicle second.
-    t_ns : (N+1,) knots (ns).
-    start_ns, start : time (ns) and depth (m) of the vehicle at the start of the reference.
-    max_rate : largest rate of change of the depth since then (m/s).
-    """
-    depth, speed = np.empty(len(t_ns)), np.empty(len(t_ns))
-    for k in range(len(t_ns)):
-        at = tau + rate * (t_ns[k] - t_ns[0]) * 1e-9
-        i, part, length = _interval(table, at)
-        step = table[4, i + 1] - table[4, i]
-        wanted = table[4, i] + part * step
-        way = max((t_ns[k] - start_ns) * 1e-9, 0.0) * max_rate
-        depth[k] = min(max(wanted, start - way), start + way)
-        if depth[k] == wanted:
-            speed[k] = rate * step / length if length > 0.0 and part < 1.0 else 0.0
-        else:
-            speed[k] = max_rate if wanted > start else -max_rate
-    return depth, speed
-
-
-@jit
 def cross_track_error(table: Array, s: float, n: float, e: float, window: float) -> float:
     """Return the cross-track error (m), positive to starboard: the distance of a position from the path.
 

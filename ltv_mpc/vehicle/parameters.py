@@ -1,6 +1,6 @@
 """Vehicle parameters, as in the TOML file and as in the compiled code.
 
-The thrust of a propeller by revolutions and inflow is in ``thruster.py``, the equations of motion are in
+The thrust of a propeller by revolutions and inflow is in ``propulsion.py``, the equations of motion are in
 ``dynamics.py``.
 """
 

@@ -13,7 +13,7 @@ import msgspec
 
 from ltv_mpc.vehicle.parameters import Thruster, Translation, Vehicle
 from ltv_mpc.vehicle.performance import Performance, fastest_drag_rate_per_s
-from ltv_mpc.vehicle.thruster import thrust
+from ltv_mpc.vehicle.propulsion import thrust
 
 MIN_MASS_KG, MAX_MASS_KG = 5.0, 50_000.0
 ACCELERATION_MPS2 = (0.005, 10.0)

@@ -1,22 +1,69 @@
-"""Propulsive power: mechanical power at the propeller shafts, from revolutions and torque.
+"""Fixed-pitch propellers: thrust from revolutions and inflow, the inverse, and mechanical power at the shafts.
 
+    F = a |n| n - b v_T |n|,   a = 0.4 rho d^4,   b = (1/3) rho d^3
     P = 2 pi n Q,   Q = K_Q0 rho d^5 |n| n - K_Q1 rho d^4 v_T |n|
 
-n revolutions per second at which the propeller gives the thrust F at the inflow v_T (``thruster.py``), d diameter.
+n revolutions per second, v_T inflow (m/s, surge for the stern thrusters, heave for the vertical one), d diameter (m).
 K_Q0 and K_Q1 are ``torque_coefficient`` and ``torque_inflow_coefficient`` of the vehicle file: the torque coefficient
 of an open-water curve is K_Q = K_Q0 - K_Q1 J, with the advance ratio J = v_T / (n d). A propeller that the water drives
 counts as P = 0: a drive feeds nothing back. Losses of motor and gearbox are not included.
 
 Where the coefficients are missing, the relative power serves: at rest in the water P grows as |F|^1.5.
+Source: Medagoda & Williams 2012, eq 8: the standard bilinear form, zero thrust at an advance ratio of 1.2.
 """
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
+from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.parameters import Thruster, Vehicle
-from ltv_mpc.vehicle.thruster import revolutions
+
+THRUST_COEFFICIENT = 0.4
+INFLOW_COEFFICIENT = 1.0 / 3.0
+
+
+@jit
+def thrust(n: float, inflow: float, rho: float, d: float) -> float:
+    """Return the thrust F (N) of a propeller.
+
+    Parameters
+    ----------
+    n : revolutions per second.
+    inflow : v_T (m/s).
+    rho : water density (kg/m3).
+    d : diameter (m).
+    """
+    # F = 0.4 rho d^4 |n| n - (1/3) v_T rho d^3 |n|
+    return THRUST_COEFFICIENT * rho * d**4 * abs(n) * n - INFLOW_COEFFICIENT * inflow * rho * d**3 * abs(n)
+
+
+@jit
+def revolutions(F: float, inflow: float, rho: float, d: float) -> float:
+    """Return the revolutions n (rev/s) at which ``thrust`` is F.
+
+    There is one quadratic for each sign of n. If two n give the same F (a small F against the sign of the inflow), the
+    result has the sign of F. For F = 0 the propeller stands still.
+
+    Parameters
+    ----------
+    F : thrust (N).
+    inflow : v_T (m/s).
+    rho : water density (kg/m3).
+    d : diameter (m).
+    """
+    a = THRUST_COEFFICIENT * rho * d**4
+    b = INFLOW_COEFFICIENT * inflow * rho * d**3
+    if F == 0.0:
+        return 0.0
+    if F > 0.0:
+        # n > 0: a n^2 - b n - F = 0 has one positive root
+        return (b + math.sqrt(b * b + 4.0 * a * F)) / (2.0 * a)
+    # n < 0: with m = -n > 0: -a m^2 - b m - F = 0, a m^2 + b m - |F| = 0 has one positive root
+    return -(-b + math.sqrt(b * b + 4.0 * a * -F)) / (2.0 * a)
 
 
 def shaft_power_W(thrust_N: Array, inflow_mps: Array, thruster: Thruster, water_density_kgpm3: float) -> Array:

@@ -69,12 +69,8 @@ def vehicle() -> Vehicle:
     """Return the data sheet of the hull with the table of PWM of the simulated autopilot."""
     of = Vehicle.load(str(HULL))
     table = {"pwm_us": EXAMPLE.PWM_US, "pwm_N": EXAMPLE.PWM_N}
-    thrusters = msgspec.structs.replace(
-        of.thruster,
-        port=msgspec.structs.replace(of.thruster.port, **table),
-        starboard=msgspec.structs.replace(of.thruster.starboard, **table),
-    )
-    return msgspec.structs.replace(of, thruster=thrusters)
+    sides = {side: msgspec.structs.replace(getattr(of.thruster, side), **table) for side in ("port", "starboard")}
+    return msgspec.structs.replace(of, thruster=msgspec.structs.replace(of.thruster, **sides))
 
 
 class Faults(NamedTuple):

@@ -16,6 +16,7 @@ from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Array, Estimate, Plan
 from ltv_mpc.references import Line, Place, Point, Reference, Waypoints
 from ltv_mpc.vehicle.parameters import Vehicle
+from tests.ltv_mpc.vehicles import changed
 
 PAPER = Vehicle.load("paper")
 LEAST_M = 3.0
@@ -127,20 +128,15 @@ def test_where_the_chart_ends_the_bottom_track_remains() -> None:
 
 def test_the_chart_counts_for_a_file_without_damping_of_heave() -> None:
     """No ascent has a steady speed then."""
-    assert PAPER.heave is not None
-    heave = msgspec.structs.replace(PAPER.heave, linear_damping_kgps=0.0, quadratic_damping_kgpm=0.0)
+    free = changed(PAPER, {"heave.linear_damping_kgps": 0.0, "heave.quadratic_damping_kgpm": 0.0})
     here, chart = Point(north_m=0.0, east_m=0.0, depth_m=30.0), ground(((-100.0, 24.0), (100.0, 24.0)))
-    of = controller(here, chart, msgspec.structs.replace(PAPER, heave=heave))
+    of = controller(here, chart, free)
     assert of.plan(Estimate.at_rest(depth_m=20.9)).depth_limit_m == pytest.approx(24.0 - LEAST_M)
 
 
 def test_a_vehicle_that_cannot_rise_does_not_descend_into_what_is_ahead() -> None:
     """Its thruster has no thrust up, and its buoyancy is zero."""
-    assert PAPER.thruster.vertical is not None
-    vertical = msgspec.structs.replace(PAPER.thruster.vertical, min_N=0.0)
-    heavy = msgspec.structs.replace(
-        PAPER, thruster=msgspec.structs.replace(PAPER.thruster, vertical=vertical), net_buoyancy_N=0.0
-    )
+    heavy = changed(PAPER, {"thruster.vertical.min_N": 0.0, "net_buoyancy_N": 0.0})
     deep = Point(north_m=60.0, east_m=0.0, depth_m=30.0)
     plan = controller(deep, ground(CLIFF), heavy).plan(Estimate.at_rest(depth_m=5.0))
     assert plan.depth_limit_m == pytest.approx(12.0 - LEAST_M)

@@ -21,6 +21,7 @@ from ltv_mpc.safety.command_arbiter import ThrustOverride
 from ltv_mpc.safety.health import Health, HealthState
 from ltv_mpc.vehicle.dynamics import heave_acceleration
 from ltv_mpc.vehicle.parameters import Translation, Vehicle
+from tests.ltv_mpc.vehicles import changed
 
 PAPER = Vehicle.load("paper")
 BOTTOM_M = 12.0
@@ -123,13 +124,8 @@ def test_the_rate_leaves_a_weak_thruster_the_force_to_brake() -> None:
     """2 t brake with their buoyancy alone, from 0.57 m/s."""
     assert braking_rate_radps(PAPER) > 0.3
     assert braking_rate_radps(Vehicle.load("surface")) == math.inf
-    assert PAPER.heave is not None
-    vertical = msgspec.structs.replace(PAPER.thrusters[2], min_N=0.0)
-    heavy = msgspec.structs.replace(
-        PAPER,
-        thruster=msgspec.structs.replace(PAPER.thruster, vertical=vertical),
-        heave=msgspec.structs.replace(PAPER.heave, mass_kg=2000.0, quadratic_damping_kgpm=100.0),
-    )
+    heave = {"heave.mass_kg": 2000.0, "heave.quadratic_damping_kgpm": 100.0}
+    heavy = changed(PAPER, {"thruster.vertical.min_N": 0.0, **heave})
     assert braking_rate_radps(heavy) == pytest.approx(30.5 / 2000.0 / math.sqrt(32.0 / 100.0))
     way, _ = dive(
         Controller(heavy, deeper(200.0, 1.0), config(max_depth_m=60.0)), heavy, 300.0, Estimate.at_rest(depth_m=0.0)

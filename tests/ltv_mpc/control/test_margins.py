@@ -19,6 +19,7 @@ from ltv_mpc.control.scaling import characteristic_scales, default_weights
 from ltv_mpc.vehicle.parameters import Translation
 from services.tools import vehicle_check
 from tests.ltv_mpc.reports import report
+from tests.ltv_mpc.vehicles import changed
 
 BOAT = Vehicle.load("bluerobotics-boat")
 _SURGE = BOAT.surge
@@ -171,8 +172,9 @@ def test_a_drift_that_no_thrust_controls_is_left_out_and_the_rest_of_the_loop_is
     margins = loop.margins()
     assert not margins.aside_controllable
     assert 6.0 < margins.gain_up_db < 20.0  # surge is controllable
-    sway = msgspec.structs.replace(paper.sway, mass_kg=1.01 * paper.sway.mass_kg)
-    assert Loop(msgspec.structs.replace(paper, sway=sway), config, STRONG).margins().aside_controllable
+    assert (
+        Loop(changed(paper, {"sway.mass_kg": 1.01 * paper.sway.mass_kg}), config, STRONG).margins().aside_controllable
+    )
 
 
 def test_dead_time_is_continuous_across_the_cycle():
@@ -186,8 +188,7 @@ def test_dead_time_is_continuous_across_the_cycle():
 
 
 def test_drag_that_no_stage_resolves_leaves_no_margin():
-    surge = msgspec.structs.replace(BOAT.surge, linear_damping_kgps=9e4)
-    stiff = msgspec.structs.replace(BOAT, surge=surge)
+    stiff = changed(BOAT, {"surge.linear_damping_kgps": 9e4})
     config = settled(ControllerConfig(), stiff)
     loop = Loop(stiff, config, STRONG)
     assert loop.radius() == np.inf

@@ -15,6 +15,7 @@ from ltv_mpc.messages import Applied, CycleTiming
 from ltv_mpc.vehicle.dynamics import heave_acceleration, rates
 from tests.ltv_mpc.plans import plan_of
 from tests.ltv_mpc.reports import report
+from tests.ltv_mpc.vehicles import changed
 
 PAPER = Vehicle.load("paper")
 P = PAPER.coefficients()
@@ -103,8 +104,7 @@ def test_without_reports_the_thrust_follows_the_lag_from_rest_before_the_first_p
     ("lag_s", "age_s", "kept_s"), [(0.5, 0.0, 10.0), (2.0, 0.0, 16.0), (0.5, 20.0, 21.0), (0.5, 90.0, 60.0)]
 )
 def test_commands_are_kept_for_eight_lags_and_since_the_estimate_in_use(lag_s: float, age_s: float, kept_s: float):
-    thrusters = msgspec.structs.replace(PAPER.thruster, port=msgspec.structs.replace(PAPER.thrusters[0], lag_s=lag_s))
-    commands = SentCommands(msgspec.structs.replace(PAPER, thruster=thrusters))
+    commands = SentCommands(changed(PAPER, {"thruster.port.lag_s": lag_s}))
     for t_ns in range(0, 100_000_000_000, 500_000_000):
         seen_ns = max(t_ns - round(age_s * 1e9), 0)
         commands.add(plan_of(t_ns, np.ones((2, 3)), 3_000_000_000, estimate_t_ns=seen_ns))

@@ -19,6 +19,7 @@ from ltv_mpc.control.scaling import (
     time_ratio,
     weaker_couple,
 )
+from tests.ltv_mpc.vehicles import changed
 
 PAPER = Vehicle.load("paper")
 SHIPPED = ("paper", "surface", "low-yaw", "weak-reverse")
@@ -102,12 +103,7 @@ def test_weights_of_the_target_are_bounded_by_a_common_factor(name: str) -> None
 
 def test_the_weaker_side_of_a_turn_counts() -> None:
     """Starboard astern is weaker: the couple to starboard is 62.5 a1 + 15 a2."""
-    lateral = PAPER.thruster
-    uneven = msgspec.structs.replace(
-        PAPER,
-        thruster=msgspec.structs.replace(lateral, starboard=msgspec.structs.replace(lateral.starboard, min_N=-15.0)),
-    )
-    assert weaker_couple(uneven) == pytest.approx(0.2 * (62.5 + 15.0))
+    assert weaker_couple(changed(PAPER, {"thruster.starboard.min_N": -15.0})) == pytest.approx(0.2 * (62.5 + 15.0))
 
 
 @pytest.mark.parametrize("name", SHIPPED)

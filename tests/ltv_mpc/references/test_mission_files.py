@@ -59,9 +59,12 @@ def test_a_route_and_a_track_written_by_gpxpy_are_the_same_path(tmp_path: Path) 
     for part in (PLACES[:2], PLACES[2:]):
         segment = gpxpy.gpx.GPXTrackSegment([gpxpy.gpx.GPXTrackPoint(at, on) for at, on in part])
         track.tracks[0].segments.append(segment)
+    route.waypoints.append(gpxpy.gpx.GPXWaypoint(*PLACES[0]))
+    notes: list[str] = []
     for gpx in (route, track):
         (tmp_path / "m.gpx").write_text(gpx.to_xml())
-        assert_same(references.load(str(tmp_path / "m.gpx")), expected())
+        assert_same(references.load(str(tmp_path / "m.gpx"), notes), expected())
+    assert [note.rpartition(": ")[2] for note in notes] == ["not used are 1 waypoints beside it, 4 elevations"]
     both = gpxpy.gpx.GPX()
     both.routes, both.tracks = route.routes, track.tracks
     (tmp_path / "m.gpx").write_text(both.to_xml())
@@ -69,24 +72,15 @@ def test_a_route_and_a_track_written_by_gpxpy_are_the_same_path(tmp_path: Path) 
         references.load(str(tmp_path / "m.gpx"))
 
 
-def line_string(**properties: object) -> dict[str, object]:
-    coordinates = [[on, at, 3.0] for at, on in PLACES]
-    geometry = {"type": "LineString", "coordinates": coordinates}
-    return {"type": "Feature", "properties": properties, "geometry": geometry}
+def feature(kind: str, coordinates: object, **properties: object) -> dict[str, object]:
+    return {"type": "Feature", "properties": properties, "geometry": {"type": kind, "coordinates": coordinates}}
 
 
 def test_a_line_and_a_point_of_geojson_stand_beside_the_zones_of_a_fence(tmp_path: Path) -> None:
-    ring = [[-5.2, 50.1], [-5.0, 50.1], [-5.0, 50.3], [-5.2, 50.1]]
-    zone = {
-        "type": "Feature",
-        "properties": {"zone": "keep_in"},
-        "geometry": {"type": "Polygon", "coordinates": [ring]},
-    }
+    zone = feature("Polygon", [[[-5.2, 50.1], [-5.0, 50.1], [-5.0, 50.3], [-5.2, 50.1]]], zone="keep_in")
+    line = feature("LineString", [[on, at, 3.0] for at, on in PLACES], speed_mps=0.3)
     path = tmp_path / "m.GEOJSON"
-    for content in (
-        line_string(speed_mps=0.3),
-        {"type": "FeatureCollection", "features": [zone, line_string(speed_mps=0.3)], "origin": None},
-    ):
+    for content in (line, {"type": "FeatureCollection", "features": [zone, line], "origin": None}):
         path.write_text(json.dumps(content))
         assert_same(references.load(str(path)), expected(0.3))
     path.write_text(json.dumps({"type": "Point", "coordinates": [-5.1, 50.2]}))
@@ -139,10 +133,6 @@ def test_speeds_waits_and_the_way_back_of_a_mission_are_those_of_its_waypoints(t
     assert [place.speed_mps for place in read.waypoints] == [None, None, 1.2, None, None]
 
 
-def feature(kind: str, coordinates: object, **properties: object) -> dict[str, object]:
-    return {"type": "Feature", "properties": properties, "geometry": {"type": kind, "coordinates": coordinates}}
-
-
 def test_what_a_file_holds_beside_its_path_is_a_note(tmp_path: Path) -> None:
     fence = {"polygons": [{"inclusion": True, "polygon": []}], "circles": [{}]}
     content = json.loads(plan(*(simple(k, 16, 0, 0, 0, None, *place, 50) for k, place in enumerate(PLACES[:2], 1))))
@@ -167,18 +157,6 @@ def test_what_a_file_holds_beside_its_path_is_a_note(tmp_path: Path) -> None:
         assert len(read.waypoints) == 2
         assert notes[-1].endswith(f"{name}: not used are {says}")
         assert len(notes) == 1 + (name == "m.json")
-
-
-def test_waypoints_and_heights_of_gpx_beside_the_path_are_a_note(tmp_path: Path) -> None:
-    gpxpy = pytest.importorskip("gpxpy")
-    gpx = gpxpy.gpx.GPX()
-    gpx.routes.append(gpxpy.gpx.GPXRoute())
-    gpx.routes[0].points = [gpxpy.gpx.GPXRoutePoint(at, on, elevation=7.0) for at, on in PLACES]
-    gpx.waypoints.append(gpxpy.gpx.GPXWaypoint(*PLACES[0]))
-    (tmp_path / "m.gpx").write_text(gpx.to_xml())
-    notes: list[str] = []
-    references.load(str(tmp_path / "m.gpx"), notes)
-    assert notes[0].endswith("m.gpx: not used are 1 waypoints beside it, 4 elevations")
 
 
 ELSEWHERE = "50.2 -5 0"

@@ -28,7 +28,7 @@ POINT = references.Point(north_m=0.0, east_m=0.0)
 LINE = references.Line(
     start=references.Place(north_m=0.0, east_m=0.0), end=references.Place(north_m=60.0, east_m=0.0), speed_mps=0.4
 )
-CURRENTS = (0.0, 0.0), (0.3, 0.0)
+CURRENT = (0.3, 0.0)
 
 
 class Cycle(NamedTuple):
@@ -116,17 +116,10 @@ class Loop:
         self.delivered_N = np.array([*end.X[6:8], end.vertical_N])
 
     def _report(self, t_ns, command_N) -> Applied:
-        named = self.names_plans and self.accepted is not None
-        follows = (
-            {}
-            if not named
-            else {
-                "plan_epoch": 1,
-                "plan_sequence": self.sequence - 1,
-                "plan_cycle_t_ns": self.accepted.cycle_t_ns,
-                "plan_received_t_ns": self.received_ns,
-            }
-        )
+        follows = {}
+        if self.names_plans and self.accepted is not None:
+            follows = {"plan_epoch": 1, "plan_sequence": self.sequence - 1}
+            follows |= {"plan_cycle_t_ns": self.accepted.cycle_t_ns, "plan_received_t_ns": self.received_ns}
         return report(t_ns, self.delivered_N, command_N, plans_late=self.gate.plans_late, **follows)
 
 
@@ -149,7 +142,7 @@ class Release:
         return np.zeros(3) if released else command_N
 
 
-@pytest.mark.parametrize(("current", "settings"), [(CURRENTS[0], {}), (CURRENTS[1], {"names_plans": False})], ids=str)
+@pytest.mark.parametrize(("current", "settings"), [((0.0, 0.0), {}), (CURRENT, {"names_plans": False})], ids=str)
 def test_released_thrusters_are_noticed_and_teach_no_current(current, settings):
     release = Release()
     cycles = Loop(current, release, **settings).run(140.0)
@@ -211,7 +204,7 @@ LEGAL = (
 
 @pytest.mark.parametrize(("settings", "reference"), [*zip(LEGAL, 3 * (LINE, POINT), strict=True)], ids=str)
 def test_late_reports_and_late_plans_are_no_contradiction(settings, reference):
-    assert degraded_s(Loop(CURRENTS[1], start_m=(15.0, 3.0), reference=reference, **settings).run(60.0)) == []
+    assert degraded_s(Loop(CURRENT, start_m=(15.0, 3.0), reference=reference, **settings).run(60.0)) == []
 
 
 @pytest.mark.parametrize("authority", [Authority.MANUAL, Authority.DISARMED, Authority.STOPPED])

@@ -15,6 +15,7 @@ from ltv_mpc.safety.thrust_loss_detector import WINDOWS
 from ltv_mpc.vehicle.dynamics import rates
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
 from tests.ltv_mpc.reports import report
+from tests.ltv_mpc.vehicles import off_by
 
 PAPER = Vehicle.load("paper")
 UNEQUAL = msgspec.structs.replace(PAPER, sway=msgspec.structs.replace(PAPER.sway, mass_kg=1000.0))
@@ -129,12 +130,9 @@ def assert_no_loss_if_known(
         assert alarms(vessel(), seconds, altered=lambda e, known=known: altered(e, known)) is not known
 
 
-def off_by(thrust: float, drag: float, mass: float) -> Sea:
+def mismatched(thrust: float, drag: float, mass: float) -> Sea:
     """Vehicle whose thrust, drag and mass are off by factors."""
-    p = PAPER.coefficients()
-    factors = {name: drag for name in p._fields if name.startswith(("linear", "quadratic"))}
-    factors |= dict.fromkeys(("mass_surge", "mass_sway", "mass_heave", "inertia_yaw", "dry_mass"), mass)
-    sea = Sea(true=p._replace(**{name: factor * getattr(p, name) for name, factor in factors.items()}))
+    sea = Sea(true=off_by(PAPER.coefficients(), mass=mass, drag=drag))
     sea.share[:] = thrust
     return sea
 
@@ -153,7 +151,7 @@ def test_a_vehicle_that_follows_its_model_has_no_residual_and_no_evidence():
 
 @pytest.mark.parametrize(("thrust", "drag", "mass"), [(0.9, 1.1, 1.1), (1.1, 0.9, 0.9), (0.9, 0.9, 1.1)])
 def test_mismatch_of_ten_per_cent_of_everything_gives_no_alarm(thrust, drag, mass):
-    sea = off_by(thrust, drag, mass)
+    sea = mismatched(thrust, drag, mass)
     assert not alarms(sea, 12.0)
     assert sea.monitor.evidence < 0.25 * ALARM_NATS
 
@@ -241,7 +239,7 @@ def test_a_velocity_error_that_varies_within_its_variance_is_no_loss():
         wrong = 0.01 * math.sqrt(2.0 / len(waves)) * float(np.sin(waves * estimate.t_ns * 1e-9 + waves).sum())
         return told(estimate, ahead_mps=wrong, velocity=0.01**2 if known else 1e-8)
 
-    assert_no_loss_if_known(40.0, altered, lambda: off_by(0.9, 1.1, 1.1))
+    assert_no_loss_if_known(40.0, altered, lambda: mismatched(0.9, 1.1, 1.1))
 
 
 @pytest.mark.parametrize("side", [1, -1])
@@ -266,10 +264,10 @@ def test_the_noise_of_a_yaw_rate_does_not_add_up_over_the_window():
 
 def test_a_restored_monitor_knows_the_behaviour_of_the_vehicle():
     """The vehicle was stronger than its model and loses 30 %: compared with its model alone, it loses 23 %."""
-    before = off_by(1.1, 0.9, 0.9)
+    before = mismatched(1.1, 0.9, 0.9)
     before.sail(30.0)
     products = before.monitor.products
-    knowing, forgetful = (off_by(0.77, 0.9, 0.9) for _ in range(2))  # 30 % less than it was
+    knowing, forgetful = (mismatched(0.77, 0.9, 0.9) for _ in range(2))  # 30 % less than it was
     knowing.monitor.restore(products)
     np.testing.assert_array_equal(knowing.monitor.products, products)
     assert forgetful.monitor.products is None

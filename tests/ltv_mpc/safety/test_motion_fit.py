@@ -10,7 +10,9 @@ import pytest
 
 from ltv_mpc.messages import Estimate
 from ltv_mpc.safety.motion_fit import ARM, DELAY, MODEL, MotionFit
+from ltv_mpc.vehicle.dynamics import rates
 from ltv_mpc.vehicle.parameters import Vehicle
+from tests.ltv_mpc.vehicles import off_by
 
 VEHICLE = Vehicle.load("bluerobotics-boat")
 MAX_N = VEHICLE.thrusters[0].max_N
@@ -28,7 +30,9 @@ def steered(seconds: float, *, mass: float = 1.0, drag: float = 1.0, port: float
     Each second both thrusters move towards other random thrusts; ``port`` is the share that port delivers, and the wind
     from the south accelerates the vehicle of the file so much.
     """
-    p = VEHICLE.coefficients()
+    file = VEHICLE.coefficients()
+    p = off_by(file, mass=mass, drag=drag)
+    force = -0.5 * wind_mps2 * (file.mass_surge + file.mass_sway) / p.dry_mass  # as of water that accelerates
     rng = np.random.default_rng(3)
     steps = round(seconds / STEP_S)
     knots = 0.6 * MAX_N * rng.uniform(-0.5, 1.0, (round(seconds) + 2, 2))
@@ -38,14 +42,7 @@ def steered(seconds: float, *, mass: float = 1.0, drag: float = 1.0, port: float
     states = np.empty((steps, 4))
     for k in range(steps):
         states[k] = u * math.cos(psi) - v * math.sin(psi) + 0.2, u * math.sin(psi) + v * math.cos(psi) - 0.1, psi, r
-        f1, f2 = thrust[k] * (port, 1.0)
-        blown = wind_mps2 * 0.5 * (p.mass_surge + p.mass_sway)
-        surge = f1 + f2 - drag * (p.linear_surge + p.quadratic_surge * abs(u)) * u + blown * math.cos(psi)
-        sway = -drag * (p.linear_sway + p.quadratic_sway * abs(v)) * v - blown * math.sin(psi)
-        yaw = p.arm_port * f1 - p.arm_starboard * f2 - drag * (p.linear_yaw + p.quadratic_yaw * abs(r)) * r
-        du = (surge / mass + p.mass_sway * v * r) / p.mass_surge
-        dv = (sway / mass - p.mass_surge * u * r) / p.mass_sway
-        dr = (yaw / mass + (p.mass_surge - p.mass_sway) * u * v) / p.inertia_yaw
+        _, _, du, dv, _, dr = rates(u, v, psi, r, port * thrust[k, 0], thrust[k, 1], 0.0, 0.0, force, 0.0, p)
         u, v, r, psi = u + STEP_S * du, v + STEP_S * dv, r + STEP_S * dr, psi + STEP_S * r
     return t, states, thrust
 

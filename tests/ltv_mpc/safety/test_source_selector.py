@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from hypothesis import settings
 from hypothesis import strategies as st
-from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
 from ltv_mpc.safety.source_selector import (
     MAX_GAP_NS,
@@ -136,15 +136,12 @@ class Sources(RuleBasedStateMachine):
             self.t_ns += MS // 100
             self._send(Source(name, epoch + (k if many else 0)))
 
-    @precondition(lambda self: hasattr(self, "of"))
     @rule(name=st.sampled_from(("", "default", "a", "b")))
     def force(self, name: str) -> None:
         self.of.force(name, self.t_ns)
 
     @invariant()
     def never_without_a_source_for_longer_than_stated(self) -> None:
-        if not hasattr(self, "of"):
-            return
         sound_ns = self.t_ns - self.sound_since
         limit = max(MAX_SILENCE_NS, RUN_NS, RUN_MESSAGES * self.period_ns) + 2 * self.period_ns + 10 * MS
         if sound_ns > limit:

@@ -9,8 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ltv_mpc.vehicle.parameters import Vehicle
-from ltv_mpc.vehicle.propulsion import propulsive_power_W, relative_power, shaft_power_W
-from ltv_mpc.vehicle.thruster import revolutions, thrust
+from ltv_mpc.vehicle.propulsion import propulsive_power_W, relative_power, revolutions, shaft_power_W, thrust
 from tests.ltv_mpc.vehicles import changed
 
 PAPER = Vehicle.load("paper")  # d = 0.25 m, K_Q = 0.056 - 0.042 J, 1025 kg/m3

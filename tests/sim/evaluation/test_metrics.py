@@ -25,6 +25,7 @@ from ltv_mpc.vehicle.parameters import Vehicle
 from sim.evaluation.metrics import RunMetrics
 from tests.ltv_mpc.plans import plan_of
 from tests.ltv_mpc.reports import report
+from tests.ltv_mpc.vehicles import changed
 from tests.sim import worlds
 from tests.sim.worlds import MS, STILL, S
 
@@ -204,10 +205,7 @@ def test_a_command_inside_the_box_or_between_its_bounds_is_not_saturated(metrics
 
 
 def test_each_thruster_is_held_against_its_own_box(vehicle: Vehicle) -> None:
-    thruster = vehicle.thruster
-    weak = msgspec.structs.replace(thruster.starboard, max_N=20.0, min_N=-10.0)
-    lame = msgspec.structs.replace(vehicle, thruster=msgspec.structs.replace(thruster, starboard=weak))
-    metrics = RunMetrics(lame)
+    metrics = RunMetrics(changed(vehicle, {"thruster.starboard.max_N": 20.0, "thruster.starboard.min_N": -10.0}))
     feed(metrics, applied(0, 20.0, 0.0), applied(S, 20.0, 20.0), applied(2 * S, 0.0, 20.0))
     feed(metrics, applied(3 * S, -10.0, -10.0), applied(4 * S, -10.0, -10.0))
     assert metrics.commands.thrust().saturated_fraction == 0.5
