@@ -128,7 +128,7 @@ class Plant:
 
     def _move(self, times_ns: list[int]) -> Array:
         """Simulate from the first of these times; return the observations at the others, (K, 18)."""
-        commands = self._gate.commands_at([max(t, 0) for t in times_ns[1:]])
+        commands = np.array([self._gate.command_at(max(t, 0)) for t in times_ns[1:]])
         t_ns = np.array(times_ns)
         changes = np.abs(np.diff(np.vstack([self._command, commands]), axis=0))
         self._slew = np.maximum(self._slew, (changes / (np.diff(t_ns) * 1e-9)[:, None]).max(axis=0))

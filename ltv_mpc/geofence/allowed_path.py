@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from typing import NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -26,7 +26,6 @@ from ltv_mpc.geofence.route import Router
 from ltv_mpc.geofence.zones import Zones, are_clear, clearances, nearest
 from ltv_mpc.messages import Array, Pair
 from ltv_mpc.references.schedule import DEPTH, EAST, NORTH, TIME, WAY, Schedule
-from ltv_mpc.references.timed import TimedSchedule
 
 ROUNDING_M = 1e-6
 """Distance by which a point is moved beyond the required clearance, so that rounding does not leave it inside."""
@@ -39,9 +38,6 @@ SPEED_M, MIN_SPEED_MPS = 2.0, 0.05
 
 DETOUR_ENDS = np.array([0.0, 0.25, 0.5, 1.0])
 """Distances from the zone, in required clearances, at which a detour may leave the path and meet it again."""
-
-BLOCK = 128
-"""Number of columns of which a report of a standing obstacle looks at all or none."""
 
 MAX_COLUMNS = 100_000
 """Largest number of columns of a schedule whose steps were divided."""
@@ -63,30 +59,8 @@ MOVED = 0.1
 Columns: TypeAlias = npt.NDArray[np.int64]
 
 
-class DividedTable(NamedTuple):
-    """Table of a schedule whose steps are at most ``STEP_M``."""
-
-    table: Array  # (5, M)
-    points: Array  # (M, 2) north and east (m), for compiled code
-    circles: Array  # (B, 3) north, east and radius (m) of a circle around each ``BLOCK`` of points
-
-    def within(self, north: float, east: float, radius_m: float) -> Columns:
-        """Return the columns within a distance of a place; points far from it are not looked at.
-
-        Parameters
-        ----------
-        north, east : place (m).
-        radius_m : distance (m).
-        """
-        near = np.hypot(self.circles[:, 0] - north, self.circles[:, 1] - east) < self.circles[:, 2] + radius_m
-        columns = (BLOCK * np.flatnonzero(near)[:, None] + np.arange(BLOCK)).ravel()
-        columns = columns[columns < len(self.points)]
-        inside: Columns = columns[np.hypot(*(self.points[columns] - (north, east)).T) < radius_m]
-        return inside
-
-
 def allowed_path(
-    schedule: Schedule, router: Router, of: DividedTable | None = None, clear: npt.NDArray[np.bool_] | None = None
+    schedule: Schedule, router: Router, table: Array | None = None, clear: npt.NDArray[np.bool_] | None = None
 ) -> tuple[Schedule, float]:
     """Return the schedule with detours for its columns that are nearer to a zone than the required clearance.
 
@@ -94,7 +68,7 @@ def allowed_path(
     ----------
     schedule : motion of the target.
     router : has the zones of the fence and the required clearance.
-    of : the divided table of the schedule, if it is known.
+    table : (5, M) ``divided`` table of the schedule, if it is known.
     clear : (M,) which of its columns keep the required clearance, if that is known.
 
     Returns
@@ -102,9 +76,9 @@ def allowed_path(
     The schedule, and the length that is left out or, if that is more, the distance by which the end is moved (m). A
     path whose end has no allowed point near it stays as it is.
     """
-    zones, need, keeps_time = router.zones, router.need, isinstance(schedule, TimedSchedule)
-    table, points, _ = divided(schedule.table) if of is None else of
-    clear = are_clear(zones, need, points) if clear is None else clear
+    zones, need, keeps_time = router.zones, router.need, schedule.keeps_time
+    table = divided(schedule.table) if table is None else table
+    clear = are_clear(zones, need, _points(table)) if clear is None else clear
     if clear.all():
         return schedule, 0.0
     # Far from what is left out the path stays as it is, but for its times.
@@ -258,7 +232,7 @@ def nearest_allowed(zones: Zones, need: Array, point: Pair) -> Pair | None:
     return None
 
 
-def divided(table: Array) -> DividedTable:
+def divided(table: Array) -> Array:
     """Return the table (5, M) of a schedule with its steps divided into parts of at most ``STEP_M``.
 
     Parameters
@@ -268,12 +242,13 @@ def divided(table: Array) -> DividedTable:
     lengths = np.diff(table[WAY])
     step_m = max(STEP_M, float(lengths.sum()) / MAX_COLUMNS)
     parts = np.maximum(np.ceil(lengths / step_m), 1.0).astype(np.int64)
-    if parts.max(initial=1) > 1:
-        first = np.concatenate([[0], np.cumsum(parts)])  # columns of the table among those of the parts
-        table = np.array([np.interp(np.arange(first[-1] + 1), first, row) for row in table])
-    points = np.ascontiguousarray(table[[NORTH, EAST]].T)
-    low, high = (least.reduceat(points, np.arange(0, len(points), BLOCK)) for least in (np.minimum, np.maximum))
-    return DividedTable(table, points, np.column_stack([0.5 * (low + high), 0.5 * np.hypot(*(high - low).T)]))
+    first = np.concatenate([[0], np.cumsum(parts)])  # columns of the table among those of the parts
+    return np.array([np.interp(np.arange(first[-1] + 1), first, row) for row in table])
+
+
+def _points(table: Array) -> Array:
+    """Return north and east (M, 2) in m of a table, for compiled code."""
+    return np.ascontiguousarray(table[[NORTH, EAST]].T)
 
 
 class Routes:
@@ -286,8 +261,8 @@ class Routes:
         self._at_margins: Router | None = None
         self._zones, self._need = NO_ZONES, np.empty(0)
         self._standing = np.empty((0, 3))
-        # Last path, its table in small steps, and which of these are clear of the zones.
-        self._divided: tuple[Schedule, DividedTable, npt.NDArray[np.bool_]] | None = None
+        # Last path, its table in small steps, which of these are clear of the zones, and a tree of their places.
+        self._divided: tuple[Schedule, Array, npt.NDArray[np.bool_], Any] | None = None
 
     def set_zones(self, zones: Zones, need: Array) -> None:
         """Lead round other zones.
@@ -335,13 +310,16 @@ class Routes:
         if self._at_margins is None:
             return schedule, 0.0
         if self._divided is None or self._divided[0] is not schedule:
-            of = divided(schedule.table)
-            self._divided = schedule, of, are_clear(self._zones, self._need, of.points)
-        _, of, clear = self._divided
+            from scipy.spatial import KDTree  # for fences and standing obstacles alone
+
+            table = divided(schedule.table)
+            points = _points(table)
+            self._divided = schedule, table, are_clear(self._zones, self._need, points), KDTree(points)
+        _, table, clear, places = self._divided
         clear = clear.copy()
-        for standing in self._standing.tolist():
-            clear[of.within(*standing)] = False
-        return allowed_path(schedule, self._at_margins, of, clear)
+        for *place, need_m in self._standing.tolist():  # a report looks at the path near them alone
+            clear[places.query_ball_point(place, need_m)] = False
+        return allowed_path(schedule, self._at_margins, table, clear)
 
     def _restart(self) -> None:
         zones, need = self._with_standing(self._need)

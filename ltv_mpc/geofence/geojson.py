@@ -118,9 +118,12 @@ def features_of(text: str | bytes, source: str, notes: list[str]) -> tuple[dict[
         try:
             geometry = feature["geometry"] if feature["type"] == "Feature" else feature
             properties = dict(feature.get("properties") or {})
-            parts = msgspec.json.encode({"type": geometry["type"], "coordinates": geometry["coordinates"]})
-        except (AttributeError, TypeError, KeyError, ValueError):
+            coordinates = _without_measures(geometry["coordinates"])
+            parts = msgspec.json.encode({"type": geometry["type"], "coordinates": coordinates})
+        except (AttributeError, TypeError, KeyError, ValueError, RecursionError):
             raise ConfigError(source, where, "must be a Feature with properties and a geometry") from None
+        if coordinates != geometry["coordinates"]:
+            notes.append(f"{source}: {where}: numbers of its positions behind the third are not used")
         check_crs(feature, f"{where}.crs", source, notes)
         check_crs(geometry if geometry is not feature else None, f"{where}.geometry.crs", source, notes)
         try:
@@ -130,6 +133,13 @@ def features_of(text: str | bytes, source: str, notes: list[str]) -> tuple[dict[
             raise ConfigError(source, f"{where}.geometry", f"is no geometry of GeoJSON: {reason}") from None
         features.append(Feature(where, properties, shape))
     return content, features
+
+
+def _without_measures(coordinates: Any) -> Any:
+    """Return coordinates with three numbers of each position at most: what the others mean is not defined."""
+    if isinstance(coordinates, list) and any(isinstance(part, list) for part in coordinates):
+        return [_without_measures(part) for part in coordinates]
+    return coordinates[:3] if isinstance(coordinates, list) else coordinates
 
 
 def check_crs(of: Any, where: str, source: str, notes: list[str]) -> None:

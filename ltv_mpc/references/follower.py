@@ -282,8 +282,8 @@ class Follower:
         """
         if self._track is None:
             return
-        (table, lead_m), leash_m = self._track.schedule, self._track.leash_m
-        length_m, now_ns = self._track.schedule.length_m, int(t_ns[0])
+        schedule, leash_m, now_ns = self._track.schedule, self._track.leash_m, int(t_ns[0])
+        table, lead_m, length_m = schedule.table, schedule.lead_m, schedule.length_m
         step_s = min(max(now_ns - self._t_ns, 0) * 1e-9, MAX_STEP_S)
         self._t_ns = max(now_ns, self._t_ns)
         self._tau_s = min(self._tau_s + self._rate * step_s, float(table[TIME, -1]))

@@ -20,7 +20,7 @@ sigma: a smooth curve hardly has any.
 from __future__ import annotations
 
 import itertools
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -127,24 +127,18 @@ def _curved(p: Array, corner_m: float) -> tuple[Array, Numbers, float]:
     bent = smooth & (bulge_m > BULGE_M)
     if not bent.any():
         return p, np.arange(K), 0.0
-    # Slopes of the spline by the number of the point; the third derivative is 0 on the first and last leg of a curve.
-    last = np.append(False, smooth) != np.append(smooth, False)
-    banded, right = np.zeros((2, K)), np.zeros((K, 2))
-    banded[0, 1:] = smooth
-    for end in (slice(1, None), slice(None, -1)):
-        banded[1, end] += smooth * (2.0 - last[end])
-        right[end] += (smooth * (3.0 - last[end]))[:, None] * legs
-    banded[1, banded[1] == 0.0] = 1.0
-    from scipy.linalg import solveh_banded  # 14 MB, for sampled curves alone
-
-    slope = solveh_banded(banded, right)
     parts = np.where(bent, np.ceil(np.sqrt(4.0 * bulge_m / ACCURACY_M)), 1.0).astype(np.int64)
     number = np.concatenate([[0], np.cumsum(parts)])
-    leg = np.repeat(np.arange(K - 1), parts)
-    share = ((np.arange(number[-1]) - number[leg]) / parts[leg])[:, None]
-    dense = p[leg] + share * (p[leg + 1] - p[leg])
-    aside = (1.0 - share) * (slope[leg] - legs[leg]) - share * (slope[leg + 1] - legs[leg])
-    aside *= share * (1.0 - share)
+    leg, at = np.repeat(np.arange(K - 1), parts), np.interp(np.arange(number[-1]), number, np.arange(K))
+    dense = along(p, at)
+    from scipy.interpolate import make_interp_spline  # for sampled curves alone
+
+    aside = np.zeros((len(at), 2))
+    ends: Any = 2 * ([(3, np.zeros(2))],)  # third derivatives: a curve begins and ends as a parabola
+    for begin, end in np.flatnonzero(np.diff(smooth, prepend=False, append=False)).reshape(-1, 2).tolist():
+        inside, points = slice(*number[[begin, end]]), np.arange(begin, end + 1)
+        curve = make_interp_spline(points, p[points, :2], bc_type=ends)
+        aside[inside] = curve(at[inside]) - dense[inside, :2]
     curve_m = np.hypot(*aside.T)
     scale = (corner_m / np.maximum(np.maximum.reduceat(curve_m, number[:-1]), corner_m))[leg]
     dense[:, :2] += scale[:, None] * aside

@@ -44,6 +44,7 @@ class Schedule(NamedTuple):
 
     table: Array  # (5, M)
     lead_m: float  # length of the leg that leads to the first point of the path
+    keeps_time: bool = False  # the user gave the times: they stay where a part of the track is left out
 
     @property
     def length_m(self) -> float:

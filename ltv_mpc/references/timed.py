@@ -39,12 +39,6 @@ CORNER_M = 0.4
 """Largest distance of a corner from the path that smooths the rows: the default of a path."""
 
 
-class TimedSchedule(Schedule):
-    """Schedule whose times the user gave: it keeps them where a part of the track is left out."""
-
-    __slots__ = ()
-
-
 class Timed(BaseReference, frozen=True, kw_only=True, tag="timed"):
     """Track with a time for each row; ``file`` is a CSV in the folder of the reference file, ``rows`` the same inline.
 
@@ -71,7 +65,7 @@ class Timed(BaseReference, frozen=True, kw_only=True, tag="timed"):
         if self.depth_m is not None and len(self.rows[0]) == 4:
             raise ValueError("depth_m is given for the whole track and in its rows: remove one of them")
 
-    def schedule(self, vehicle: Vehicle, anchor: ReferenceStart | None = None) -> TimedSchedule:
+    def schedule(self, vehicle: Vehicle, anchor: ReferenceStart | None = None) -> Schedule:
         """Return the schedule of the rows, delayed where the vehicle is not fast enough.
 
         Parameters
@@ -93,7 +87,7 @@ class Timed(BaseReference, frozen=True, kw_only=True, tag="timed"):
         lead[TIME, 0] = 0.0
         table[TIME] += begin - table[TIME, 0]
         table[1] += lead_m
-        return TimedSchedule(np.concatenate([lead, table[:, 1:]], axis=1), lead_m)
+        return Schedule(np.concatenate([lead, table[:, 1:]], axis=1), lead_m, keeps_time=True)
 
     def notes(self, vehicle: Vehicle) -> list[str]:
         """Return a sentence about the rows that the vehicle cannot reach in time.

@@ -20,15 +20,11 @@ alternate.
 from __future__ import annotations
 
 import enum
-from bisect import bisect_left
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from ltv_mpc.jit import copy_to, jit, linear_at
-from ltv_mpc.messages import Array, Health, Plan, Triple
+from ltv_mpc.messages import Health, Plan, Triple
 from ltv_mpc.safety.health import plan_end_ns, plan_health
 from ltv_mpc.safety.input_age import InputAge
 from ltv_mpc.safety.source_selector import remember
@@ -50,16 +46,12 @@ class PlanVerdict(enum.StrEnum):
     OUTSIDE_SLEW = "outside_slew"
 
 
-class _TimedThrust(NamedTuple):
-    """Accepted plan in the types of the compiled code."""
+class _Accepted(NamedTuple):
+    """Accepted plan."""
 
     start_ns: int
     end_ns: int
-    t_ns: npt.NDArray[np.int64]  # (M,)
-    thrust_N: Array  # (M, 3)
-
-
-_NONE = _TimedThrust(0, -1, np.empty(0, dtype=np.int64), np.empty((0, 3)))
+    plan: Plan
 
 
 class PlanGate:
@@ -69,15 +61,15 @@ class PlanGate:
     """
 
     def __init__(self, vehicle: Vehicle) -> None:
-        self._limits = np.array([[t.min_N, t.max_N, t.slew_N_per_s] for t in vehicle.thrusters]).T.copy()
+        self._limits = np.array([[t.min_N, t.max_N, t.slew_N_per_s] for t in vehicle.thrusters]).T
         self._rest = np.array([0.0, 0.0, vehicle.failsafe_vertical_N])
         self._timeout_s = vehicle.plan_timeout_s
         self._commander: int | None = None  # epoch of the controller whose plans are followed
         self._age = InputAge()  # of its plans, by the start of the cycle
         self._last_sequence: dict[int, int] = {}  # accepted, by epoch: an old frame is not followed again
-        self._plans: list[_TimedThrust] = []  # the plan in force and those not started, by start time
+        self._plans: list[_Accepted] = []  # the plan in force and those not started, by start time
         self._t_ns: int | None = None
-        self._command: Triple = (0.0, 0.0, 0.0)
+        self._command = np.zeros(3)
         self.plans_late = 0
         """Number of plans accepted after their start time."""
         self.plans_rejected = 0
@@ -101,10 +93,10 @@ class PlanGate:
         remember(self._last_sequence, epoch, sequence)
         self._age.add(plan.cycle_t_ns, t_ns)
         start_ns = int(plan.t_ns[0])
-        end_ns = self._end_ns(plan)
-        timed = _TimedThrust(start_ns, end_ns, plan.t_ns.astype(np.int64), plan.thrust_N.astype(np.float64, order="C"))
         # replaces the plans that would start with it or after it; one that starts before stays in force until then
-        self._plans = [p for p in self._plans if p.start_ns < start_ns] + [timed]
+        self._plans = [p for p in self._plans if p.start_ns < start_ns] + [
+            _Accepted(start_ns, self._end_ns(plan), plan)
+        ]
         if t_ns > start_ns:
             self.plans_late += 1
             return PlanVerdict.LATE
@@ -144,76 +136,25 @@ class PlanGate:
 
         Parameters
         ----------
-        t_ns : time (ns), not before the last requested one.
-        """
-        if t_ns != self._t_ns:
-            self.commands_at([t_ns])
-        return self._command
-
-    def commands_at(self, times_ns: Sequence[int]) -> Array:
-        """Return the commands (N) at K increasing times, (K, 3), equal to K calls of ``command_at``.
-
-        Parameters
-        ----------
-        times_ns : increasing times (ns).
+        t_ns : time (ns).
 
         Raises
         ------
         ValueError
-            If the first time is before the last requested one.
+            If the time is before the last requested one.
         """
-        if self._t_ns is None:
-            self._t_ns = times_ns[0]
-        if times_ns[0] < self._t_ns:
-            raise ValueError(f"t_ns = {times_ns[0]} is before {self._t_ns}, the time of the last command")
-        plans, times, y = self._plans, np.array(times_ns), np.array(self._command)
-        commands = np.empty((len(times), 3))
-        done = 0
-        while done < len(times):
-            while len(plans) > 1 and plans[1].start_ns <= times_ns[done]:
-                del plans[0]
-            until = bisect_left(times_ns, plans[1].start_ns, done) if len(plans) > 1 else len(times)
-            plan = plans[0] if plans else _NONE
-            here = commands[done:until]
-            followed = plan.end_ns, plan.t_ns, plan.thrust_N
-            _follow(y, self._t_ns, times[done:until], followed, self._rest, self._limits, here)
-            self._t_ns, done = times_ns[until - 1], until
-        port, starboard, vertical = y.tolist()
-        self._command = port, starboard, vertical
-        return commands
-
-
-@jit
-def _follow(
-    y: Array,
-    from_ns: int,
-    times_ns: npt.NDArray[np.int64],
-    plan: tuple[int, npt.NDArray[np.int64], Array],
-    rest: Array,
-    limits: Array,
-    commands: Array,
-) -> None:
-    """Move y (3,) from ``from_ns`` towards one plan, and towards rest after it, and store it at each time.
-
-    ``plan``: its end (ns), knots (ns) and thrusts (N). ``limits`` (3, 3): low, high and slew of each thruster.
-    ``commands`` (K, 3) is the output.
-    """
-    end_ns, knots_ns, thrust = plan
-    M = len(knots_ns)
-    T = np.empty(3)
-    for k in range(len(times_ns)):
-        t_ns = times_ns[k]
-        if M > 0 and knots_ns[0] <= t_ns <= end_ns:
-            for j in range(3):
-                T[j] = linear_at(knots_ns, thrust[:, j], t_ns)
-        elif M > 0 and t_ns > end_ns:
-            copy_to(T, rest)
-        else:
-            T[:] = 0.0  # no plan has started yet
-        seconds = (t_ns - from_ns) * 1e-9
-        for j in range(3):
-            # y + clip(T - y, -slew dt, slew dt), with T in the box
-            change, reach = min(max(T[j], limits[0, j]), limits[1, j]) - y[j], limits[2, j] * seconds
-            y[j] += min(max(change, -reach), reach)
-            commands[k, j] = y[j]
-        from_ns = t_ns
+        last_ns, plans = t_ns if self._t_ns is None else self._t_ns, self._plans
+        if t_ns < last_ns:
+            raise ValueError(f"t_ns = {t_ns} is before {last_ns}, the time of the last command")
+        while len(plans) > 1 and plans[1].start_ns <= t_ns:
+            del plans[0]
+        target = np.zeros(3)  # no plan has started yet
+        if plans and plans[0].start_ns <= t_ns:
+            target = plans[0].plan.thrust_at(t_ns) if t_ns <= plans[0].end_ns else self._rest
+        low, high, slew = self._limits
+        # y + clip(T - y, -slew dt, slew dt), with T in the box
+        change, reach = np.minimum(np.maximum(target, low), high) - self._command, slew * ((t_ns - last_ns) * 1e-9)
+        self._command = self._command + np.minimum(np.maximum(change, -reach), reach)
+        self._t_ns = t_ns
+        port, starboard, vertical = self._command.tolist()
+        return port, starboard, vertical

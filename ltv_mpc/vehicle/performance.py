@@ -1,4 +1,4 @@
-"""Performance of a vehicle from its equations of motion: steady states by their roots, the rest by integration.
+"""Performance of a vehicle from its equations of motion: steady speeds by their roots, the rest by integration.
 
 All figures are for motion through still water. The integrated ones include thruster slew and lag, and begin at rest
 unless stated. "Straight" means the largest thrusts without a yaw moment, F1 a1 = F2 a2 with the arms a1 and a2.
@@ -14,7 +14,6 @@ import msgspec
 import numpy as np
 
 from ltv_mpc.messages import Array
-from ltv_mpc.vehicle.dynamics import rates
 from ltv_mpc.vehicle.flow import STATES, advance_stage, lag_table
 from ltv_mpc.vehicle.parameters import Vehicle
 from ltv_mpc.vehicle.resistance import steady_speed
@@ -39,6 +38,9 @@ SWAY_SHARE = 0.1
 
 SWAY_OVER_SURGE = 0.3
 """Sway speed in a tight turn as a share of the top speed: an assumption for the largest sway drag."""
+
+SETTLED = 1e-9
+"""Change of a steady motion in 5 s (m/s, rad/s)."""
 
 STILL = np.zeros(2)
 
@@ -81,7 +83,7 @@ def performance(vehicle: Vehicle) -> Performance:
         top_speed_astern_mps=top_astern,
         turning_rate_starboard_radps=rate_starboard,
         turning_rate_port_radps=rate_port,
-        turn_90deg_s=None if rate is None else _quarter_turn(vehicle, to_starboard),
+        turn_90deg_s=_quarter_turn(vehicle, to_starboard),
         stopping_distance_m=None if stop is None else stop[0],
         stopping_time_s=None if stop is None else stop[1],
         strongest_current_bow_mps=top,
@@ -195,28 +197,21 @@ def _steady_yaw_rates(vehicle: Vehicle) -> tuple[float | None, float | None]:
 def _steady_yaw_rate(vehicle: Vehicle, F: Array) -> float | None:
     """Return r (rad/s) with u' = v' = r' = 0 under the thrusts ``F`` (2,) in N.
 
-    The root finding starts from the settled motion. Return None without damping in yaw or sway, or if it does not
-    converge.
+    Return None without damping in yaw or sway, or if the motion does not settle.
     """
     p = vehicle.coefficients()
     if p.linear_yaw + p.quadratic_yaw <= 0.0 or p.linear_sway + p.quadratic_sway <= 0.0:
         return None
 
-    def residual(w: Array) -> list[float]:
-        """Return u', v', r' at w = [u, v, r]."""
-        _, _, du, dv, _, dr = rates(w[0], w[1], 0.0, w[2], F[0], F[1], 0.0, 0.0, 0.0, 0.0, p)
-        return [du, dv, dr]
-
-    from scipy.optimize import root  # a fifth of the start of a process
-
-    solution = root(residual, _settled_motion(vehicle, F))
-    return float(solution.x[2]) if solution.success else None
+    return float(settled[2]) if (settled := _settled_motion(vehicle, F)) is not None else None
 
 
-def _settled_motion(vehicle: Vehicle, F: Array) -> Array:
-    """Return u, v, r (3,) under ``F`` from rest, once they change by less than 1e-4 in 5 s; else at ``MAX_TIME_S``."""
+def _settled_motion(vehicle: Vehicle, F: Array) -> Array | None:
+    """Return u, v, r (3,) under ``F`` from rest, once they hardly change in 5 s; None if that takes too long."""
     motion, before, now = _StillWaterMotion(vehicle), np.ones(3), np.zeros(3)
-    while np.abs(now - before).max() >= 1e-4 and motion.t_s < MAX_TIME_S:
+    while np.abs(now - before).max() >= SETTLED:
+        if motion.t_s >= MAX_TIME_S:
+            return None
         before = now
         motion.until(lambda _: False, F, longest_s=motion.t_s + 5.0)
         now = motion.X[[2, 3, 5]]

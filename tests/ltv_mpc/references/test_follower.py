@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc import Controller, CurrentProfile, Estimate, Plan, Vehicle, advance, references
+from ltv_mpc import Controller, CurrentProfile, Estimate, Vehicle, advance, references
 from ltv_mpc.references import Hold, Line, Place, Point, Reference, Timed, Waypoints
 from ltv_mpc.references.follower import MAX_STEP_S, Follower
 from ltv_mpc.references.limits import path_limits
@@ -78,20 +78,6 @@ def test_the_target_waits_for_a_vehicle_that_falls_behind_and_never_goes_back():
     assert steps[52:70] == pytest.approx(0.0)  # three metres behind: it stands
     assert steps[-1] == pytest.approx(0.09)  # and goes on at 0.3 m/s
     assert 0.01 < steps[38] < 0.08  # 0.7 m behind: slowly
-
-
-def test_a_current_from_ahead_slows_the_target_down_before_the_vehicle_falls_behind():
-    follower, t_s = has_started(LINE), 0.0
-    north = []
-    for _ in range(60):
-        t_s += 0.3
-        target = np.empty((18, 2))
-        follower.advance(knots(t_s), np.array(follower.target_m or STILL), (-0.3, 0.0), target)
-        north.append((follower.target_m or STILL)[0])
-    # 0.447 m/s through the water, 0.3 m/s of it against the current
-    assert np.diff(north)[-20:] == pytest.approx(0.3 * (0.5 * 0.8**0.5 - 0.3), rel=1e-3)
-    assert target[-1, 0] == pytest.approx(0.5 * 0.8**0.5 - 0.3, rel=1e-3)
-    np.testing.assert_allclose(np.diff(target[:-1, 0]), np.diff(north)[-1], rtol=1e-3)
 
 
 def test_a_nan_estimate_stops_the_target_and_a_valid_one_moves_it_again():
@@ -194,28 +180,19 @@ def test_a_restriction_that_changes_while_the_target_rests_keeps_its_stay():
     assert at[120.0] == pytest.approx((9.0, 0.0))
 
 
-def follow(reference: Reference, cycles: int, current=STILL, **start: float) -> tuple[list[Estimate], list[Plan]]:
-    """Run the closed loop of the nominal vehicle in a current, from rest."""
-    controller = Controller(PAPER, reference)
-    water = CurrentProfile(
-        depth_m=np.array([0.0, 50.0]), north_mps=np.full(2, current[0]), east_mps=np.full(2, current[1])
-    )
-    estimate = msgspec.structs.replace(Estimate.at_rest(depth_m=0.0, **start), current=water)
-    estimates, plans = [], []
-    for _ in range(cycles):
-        plans.append(controller.plan(estimate))
-        estimate = advance(PAPER, estimate, plans[-1], duration_s=0.3)
-        estimates.append(estimate)
-    return estimates, plans
-
-
 def test_a_corner_is_followed_in_a_current():
     places = (Place(north_m=0.0, east_m=0.0), Place(north_m=8.0, east_m=0.0), Place(north_m=8.0, east_m=8.0))
-    estimates, plans = follow(Waypoints(speed_mps=0.4, waypoints=places), 320, (0.0, 0.15))
+    controller, plans = Controller(PAPER, Waypoints(speed_mps=0.4, waypoints=places)), []
+    water = CurrentProfile(depth_m=np.array([0.0, 50.0]), north_mps=np.zeros(2), east_mps=np.full(2, 0.15))
+    estimate = msgspec.structs.replace(Estimate.at_rest(depth_m=0.0), current=water)
+    for _ in range(320):
+        plans.append(controller.plan(estimate))
+        estimate = advance(PAPER, estimate, plans[-1], duration_s=0.3)
     assert (plans[-1].progress, plans[-1].remaining_m) == pytest.approx((1.0, 0.0))
-    assert math.dist((estimates[-1].north_m, estimates[-1].east_m), (8.0, 8.0)) < 0.05
-    assert max(abs(plan.cross_track_m or 0.0) for plan in plans[10:]) < 0.4
-    assert np.mean([abs(plan.cross_track_m or 0.0) for plan in plans[10:]]) < 0.1
+    assert math.dist((estimate.north_m, estimate.east_m), (8.0, 8.0)) < 0.05
+    cross_m = np.abs([plan.cross_track_m or 0.0 for plan in plans[10:]])
+    assert cross_m.max() < 0.4
+    assert cross_m.mean() < 0.1
 
 
 def test_references_are_replaced_live_without_a_jump_beyond_the_slew_limit():

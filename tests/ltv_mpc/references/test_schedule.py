@@ -12,18 +12,10 @@ from ltv_mpc import references
 from ltv_mpc.messages import ReferenceStart
 from ltv_mpc.references import Circle, Line, Place, Waypoint, Waypoints
 from ltv_mpc.references.limits import ACCELERATION_SHARE, SUSTAINED_SHARE, path_limits
-from ltv_mpc.references.schedule import (
-    DEPTH,
-    EAST,
-    NORTH,
-    TIME,
-    WAY,
-    feasible_rate,
-    fill_targets,
-    target_at,
-)
+from ltv_mpc.references.schedule import DEPTH, EAST, NORTH, TIME, WAY, feasible_rate, fill_targets, target_at
 from ltv_mpc.vehicle.dynamics import rates
 from ltv_mpc.vehicle.parameters import Vehicle
+from tests.ltv_mpc.vehicles import changed
 
 PAPER = Vehicle.load("paper")
 LIMITS = path_limits(PAPER)
@@ -96,10 +88,7 @@ def test_at_a_sharp_corner_the_target_waits_for_the_turning_time():
     assert t == pytest.approx(standing.sum(), rel=0.1)
 
 
-LATERAL = msgspec.structs.replace(PAPER.thruster.port, min_N=0.0)
-ONE_WAY = msgspec.structs.replace(
-    PAPER, thruster=msgspec.structs.replace(PAPER.thruster, port=LATERAL, starboard=LATERAL)
-)
+ONE_WAY = changed(PAPER, {"thruster.port.min_N": 0.0, "thruster.starboard.min_N": 0.0})
 """The paper's vehicle without thrust astern."""
 
 

@@ -32,6 +32,9 @@ def test_an_example_is_read_and_followed(path):
     assert reference.schedule(PAPER).duration_s > 10.0
 
 
+HERE = "north_m=1, east_m=1"
+SPIRAL = f"kind = 'spiral'\nspeed_mps = 1\nspacing_m = 1\ncentre = {{{HERE}}}\n"
+MOWER = f"kind = 'lawnmower'\nspeed_mps = 1\ncourse_deg = 0\nlength_m = 5\nstart = {{{HERE}}}\n"
 FIRST = "kind = 'waypoints'\nspeed_mps = 1\n"
 
 
@@ -47,23 +50,13 @@ FIRST = "kind = 'waypoints'\nspeed_mps = 1\n"
         (f"{FIRST}waypoints = [{{north_m = 1, est_m = 1}}, {{}}]", 'unknown key "est_m" in [waypoints.0]; did'),
         (f"{FIRST}laps = 2\nwaypoints = [{{north_m=1, east_m=1}}, {{north_m=2, east_m=1}}]", "needs closed = true"),
         (
-            f"{FIRST}depth_m = 1\nwaypoints = [{{north_m=1, east_m=1, depth_m = 2}}, {{north_m=2, east_m=1}}]",
-            "depth_m is given for the whole path and for places on it",
+            f"{FIRST}depth_m = 1\nwaypoints = [{{{HERE}, depth_m = 2}}, {{north_m=2, east_m=1}}]",
+            "depth_m is given for the",
         ),
-        ("kind = 'circle'\nspeed_mps = 0\nradius_m = 1\ncentre = {north_m=0, east_m=0}", "speed_mps = 0: must be > 0"),
-        (
-            "kind = 'spiral'\nspeed_mps = 1\ninner_m = 5\nouter_m = 4\nspacing_m = 1\ncentre = {north_m=0, east_m=0}",
-            "outer_m = 4: must be > inner_m = 5",
-        ),
-        (
-            "kind = 'spiral'\nspeed_mps = 1\ninner_m = 0\nouter_m = 400\nspacing_m = 1\ncentre = {north_m=0, east_m=0}",
-            "must be <= 100 turns",
-        ),
-        (
-            "kind = 'lawnmower'\nspeed_mps = 1\ncourse_deg = 0\nlength_m = 5\nwidth_m = 20\nspacing_m = 5e-324\n"
-            "start = {north_m=0, east_m=0}",
-            "width_m / spacing_m must be <= ",
-        ),
+        (f"kind = 'circle'\nspeed_mps = 0\nradius_m = 1\ncentre = {{{HERE}}}", "speed_mps = 0: must be > 0"),
+        (f"{SPIRAL}inner_m = 5\nouter_m = 4", "outer_m = 4: must be > inner_m = 5"),
+        (f"{SPIRAL}inner_m = 0\nouter_m = 400", "must be <= 100 turns"),
+        (f"{MOWER}width_m = 20\nspacing_m = 5e-324", "width_m / spacing_m must be <= "),
         ("kind = 'timed'", "give either file"),
         ("kind = 'timed'\nrows = [[0, 0, 0]]", "rows: at least 2"),
         ("kind = 'timed'\nrows = [[0, 0, 0], [1, 1, 1, 1]]", "all with the same number of columns"),

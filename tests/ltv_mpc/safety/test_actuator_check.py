@@ -149,14 +149,7 @@ class Release:
         return np.zeros(3) if released else command_N
 
 
-@pytest.mark.parametrize(
-    ("current", "settings"),
-    [
-        (CURRENTS[0], {}),
-        (CURRENTS[1], {"names_plans": False}),
-    ],
-    ids=str,
-)
+@pytest.mark.parametrize(("current", "settings"), [(CURRENTS[0], {}), (CURRENTS[1], {"names_plans": False})], ids=str)
 def test_released_thrusters_are_noticed_and_teach_no_current(current, settings):
     release = Release()
     cycles = Loop(current, release, **settings).run(140.0)

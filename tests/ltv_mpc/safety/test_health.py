@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import strategies as st
 
 from ltv_mpc import config
 from ltv_mpc.control.config import ControllerConfig
@@ -39,12 +38,6 @@ def test_each_threshold_is_the_larger_of_its_seconds_and_its_periods(age_ms, per
     state = health(age_ns=age_ns, period_ns=period_ms * MS)
     assert state.health == word
     assert (state.why == "") == (word == "nominal")
-
-
-ages = st.integers(0, 100_000 * MS)
-thresholds = st.lists(st.floats(0.01, 60), min_size=3, max_size=3).map(
-    lambda s: Ages(**dict(zip(("degraded_s", "hold_s", "failsafe_s"), sorted(s), strict=True)))
-)
 
 
 @pytest.mark.parametrize(

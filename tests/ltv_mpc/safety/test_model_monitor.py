@@ -121,6 +121,14 @@ def alarms(sea: Sea, seconds: float, **options: Callable[[Estimate], Estimate]) 
     return any(message.alarm for message in sea.messages)
 
 
+def assert_no_loss_if_known(
+    seconds: float, altered: Callable[[Estimate, bool], Estimate], vessel=lambda: Sea()
+) -> None:
+    """Assert that errors of the estimates raise no alarm if the variances contain them, and one if they do not."""
+    for known in (True, False):
+        assert alarms(vessel(), seconds, altered=lambda e, known=known: altered(e, known)) is not known
+
+
 def off_by(thrust: float, drag: float, mass: float) -> Sea:
     """Vehicle whose thrust, drag and mass are off by factors."""
     p = PAPER.coefficients()
@@ -218,40 +226,34 @@ def test_without_reports_or_a_current_nothing_is_published(missing):
 def test_a_correction_that_shows_in_the_variance_is_no_loss():
     """A fix changes the velocity by 4 cm/s, 20 N s, against the thrust: as much as its variance falls."""
 
-    def altered(estimate: Estimate, *, known: bool = True) -> Estimate:
+    def altered(estimate: Estimate, known: bool) -> Estimate:
         wrong_mps = 0.04 if estimate.t_ns < 4 * 10**9 else 0.0
         return told(estimate, ahead_mps=wrong_mps, velocity=max(wrong_mps**2, 1e-6) if known else 0.0)
 
-    sea, sure = Sea(), Sea()
-    assert not alarms(sea, 8.0, altered=altered)
-    assert alarms(sure, 8.0, altered=lambda e: altered(e, known=False))
+    assert_no_loss_if_known(8.0, altered)
 
 
 def test_a_velocity_error_that_varies_within_its_variance_is_no_loss():
     """The error ahead has 1 cm/s rms and varies over some seconds."""
     waves = 2.0 * math.pi * np.array([0.07, 0.11, 0.16, 0.23])
 
-    def altered(estimate: Estimate, variance: float = 0.01**2) -> Estimate:
-        wrong = np.sin(waves * estimate.t_ns * 1e-9 + waves).sum()
-        return told(estimate, ahead_mps=0.01 * math.sqrt(2.0 / len(waves)) * float(wrong), velocity=variance)
+    def altered(estimate: Estimate, known: bool) -> Estimate:
+        wrong = 0.01 * math.sqrt(2.0 / len(waves)) * float(np.sin(waves * estimate.t_ns * 1e-9 + waves).sum())
+        return told(estimate, ahead_mps=wrong, velocity=0.01**2 if known else 1e-8)
 
-    sea, sure = off_by(0.9, 1.1, 1.1), off_by(0.9, 1.1, 1.1)
-    assert not alarms(sea, 40.0, altered=altered)
-    assert alarms(sure, 40.0, altered=lambda e: altered(e, 1e-8))
+    assert_no_loss_if_known(40.0, altered, lambda: off_by(0.9, 1.1, 1.1))
 
 
 @pytest.mark.parametrize("side", [1, -1])
 def test_a_yaw_rate_that_is_as_uncertain_as_it_is_wrong_is_no_loss(side):
     """Every second yaw rate is off by 0.02 rad/s, as if the port thruster were weak from it on, or up to it."""
 
-    def altered(estimate: Estimate, *, known: bool = True) -> Estimate:
+    def altered(estimate: Estimate, known: bool) -> Estimate:
         t = estimate.t_ns * 1e-9
         wrong = 0.02 * side * np.sign(surging(t + 0.15 * side)[0]) * (estimate.t_ns // (CYCLE * PERIOD_NS) % 2)
         return told(estimate, turn_radps=wrong, yaw=1e-10 + wrong * wrong * known)
 
-    sea, sure = Sea(), Sea()
-    assert not alarms(sea, 12.0, altered=altered)
-    assert alarms(sure, 12.0, altered=lambda e: altered(e, known=False))
+    assert_no_loss_if_known(12.0, altered)
 
 
 def test_the_noise_of_a_yaw_rate_does_not_add_up_over_the_window():
@@ -334,46 +336,49 @@ def test_a_learned_current_that_follows_other_forces_is_no_loss():
     assert sea.monitor.evidence < 0.25 * ALARM_NATS
 
 
-def test_a_moment_of_the_hull_that_the_model_lacks_is_learned_and_is_no_loss():
-    """The true sway mass is 1.3 times that of the model, so the Munk moment is 150 kg u v and not zero."""
+def munk() -> Sea:
+    """Vehicle with 1.3 times the sway mass of the model: its Munk moment is 150 kg u v and not zero."""
     p = PAPER.coefficients()
     sea = without_current(Sea(true=p._replace(mass_sway=1.3 * p.mass_sway), vehicle=DATA_SHEET))
     sea.x[3] = 0.2
-    assert largest_evidence(sea, 30.0) < 1.0
+    return sea
+
+
+def finned() -> Sea:
+    sea = Sea(vehicle=DATA_SHEET)
+    sea.fins = FINS
+    return sea
+
+
+def wrong_current(*, given: bool) -> Sea:
+    """Vehicle of unequal masses, which turns if the water moves like a current that is wrong by 2 or 5 cm/s."""
+    if not given:
+        return without_current(Sea(vehicle=UNEQUAL, true=UNEQUAL.coefficients()), lambda _: (0.05, 0.0))
+    sea = Sea(vehicle=msgspec.structs.replace(UNEQUAL, identified=False), true=UNEQUAL.coefficients())
+    sea.current = msgspec.structs.replace(STILL, north_mps=np.array([0.02]))
+    return sea
+
+
+@pytest.mark.parametrize(
+    "sea", [munk, finned, lambda: wrong_current(given=False), lambda: wrong_current(given=True)], ids=range(4)
+)
+def test_moments_that_a_model_lacks_are_learned_or_uncertain_and_no_loss(sea: Callable[[], Sea]) -> None:
+    assert largest_evidence(sea(), 30.0) < 1.0
+
+
+def test_a_loss_shows_beside_a_moment_that_was_learned():
+    sea = munk()
+    sea.sail(30.0)
     sea.share[:] = 1.0, 0.5
     sea.sail(8.0, until_alarm=True)
     assert sea.monitor.alarm
 
 
-def test_a_moment_of_the_fins_that_the_model_lacks_is_learned_and_is_no_loss():
-    sea = Sea(vehicle=DATA_SHEET)
-    sea.fins = FINS
-    assert largest_evidence(sea, 30.0) < 1.0
-
-
-def test_the_uncertainty_of_the_current_is_that_of_a_munk_moment():
-    """The current is wrong by 5 cm/s, which turns a vehicle of unequal masses if the water moves like that."""
-    sea = without_current(Sea(vehicle=UNEQUAL, true=UNEQUAL.coefficients()), lambda _: (0.05, 0.0))
-    assert largest_evidence(sea, 30.0) < 1.0
-
-
-def test_a_current_that_the_estimates_give_to_a_data_sheet_is_uncertain_too():
-    vehicle = msgspec.structs.replace(UNEQUAL, identified=False)
-    sea = Sea(vehicle=vehicle, true=UNEQUAL.coefficients())
-    sea.current = msgspec.structs.replace(STILL, north_mps=np.array([0.02]))
-    assert largest_evidence(sea, 30.0) < 1.0
-
-
-def with_drag(linear: float) -> Coefficients:
-    """Return the coefficients of a vehicle with more drag at low speed than its model (kg/s)."""
-    p = PAPER.coefficients()
-    return p._replace(linear_surge=linear, linear_sway=linear)
-
-
 @pytest.mark.parametrize(("vehicle", "alarm"), [(DATA_SHEET, False), (PAPER, True)])
 def test_more_drag_than_on_the_data_sheet_is_no_loss_unless_identified(vehicle, alarm):
     """At low speed the true drag is several times that of the model: as if half of the thrust were missing."""
-    sea = Sea(true=with_drag(100.0), vehicle=vehicle, thrust=lambda t: (10.0 + math.sin(t), 10.0 - math.sin(t)))
+    draggy = PAPER.coefficients()._replace(linear_surge=100.0, linear_sway=100.0)
+    sea = Sea(true=draggy, vehicle=vehicle, thrust=lambda t: (10.0 + math.sin(t), 10.0 - math.sin(t)))
     assert alarms(sea, 60.0) is alarm
 
 

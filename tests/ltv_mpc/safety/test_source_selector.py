@@ -67,23 +67,6 @@ def test_one_disagreement_breaks_a_run() -> None:
     assert not any(publish(of, OTHER, range(1500, 1900, 100)))
 
 
-def test_a_source_that_is_not_preferred_does_not_take_over_from_one_in_use() -> None:
-    for order in (("default", "gnss"), ("default",), ()):
-        of = SourceSelector(order=order)
-        for t in range(0, 20_000, 100):
-            receive(of, TRUE, t * MS)
-            receive(of, GNSS, t * MS + 1)
-        assert of.active == TRUE
-
-
-def test_a_preferred_source_that_disagrees_does_not_take_over() -> None:
-    of = SourceSelector(order=("gnss", "default"))
-    for t in range(0, 20_000, 100):
-        receive(of, TRUE, t * MS)
-        receive(of, GNSS, t * MS + 1, ELSEWHERE)
-    assert of.active == TRUE
-
-
 class Sources(RuleBasedStateMachine):
     """Random sources, silences, restarts, names and floods beside one sound source."""
 

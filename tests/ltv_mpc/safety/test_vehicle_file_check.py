@@ -32,11 +32,7 @@ def checked(*of, seconds: int = 20) -> VehicleFileCheck:
 
 
 @pytest.mark.parametrize(
-    ("arm_m", "named"),
-    [
-        ((0.5, 0.0), "0.5 m ahead and 0.0 m"),
-        ((0.3, -0.4), "0.3 m ahead and 0.4 m to port"),
-    ],
+    ("arm_m", "named"), [((0.5, 0.0), "0.5 m ahead and 0.0 m"), ((0.3, -0.4), "0.3 m ahead and 0.4 m to port")]
 )
 def test_a_long_arm_is_named(arm_m, named):
     check = checked(arm_m)

@@ -6,14 +6,7 @@ import pytest
 
 from ltv_mpc.messages import Health
 from ltv_mpc.safety.health import NOMINAL
-from ltv_mpc.safety.weak_thruster import (
-    CONFIRMING_CYCLES,
-    LEAST_NS,
-    MIN_SHARE,
-    RECOVERY_NATS,
-    WeakThruster,
-    attribute,
-)
+from ltv_mpc.safety.weak_thruster import CONFIRMING_CYCLES, LEAST_NS, MIN_SHARE, RECOVERY_NATS, WeakThruster, attribute
 from ltv_mpc.vehicle.parameters import Vehicle
 
 PAPER = Vehicle.load("paper")

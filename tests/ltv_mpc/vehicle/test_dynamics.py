@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import msgspec
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -13,38 +12,29 @@ from scipy.integrate import solve_ivp
 from ltv_mpc import Vehicle
 from ltv_mpc.vehicle.dynamics import heave_acceleration, rates
 from ltv_mpc.vehicle.flow import advance_heave, advance_stage, lag_table, substeps
+from ltv_mpc.vehicle.parameters import Rotation, Translation
 from ltv_mpc.vehicle.sensitivity import SCRATCH, linearise_stage, thrust_gains
+from tests.ltv_mpc.vehicles import changed
 
 PAPER = Vehicle.load("paper")
 U, V, PSI, R = range(2, 6)
 # Unequal masses, arms and lags, linear and quadratic damping: nothing cancels that would hide a wrong sign.
-GENERAL = msgspec.convert(
-    msgspec.to_builtins(PAPER)
-    | {
+GENERAL = changed(
+    PAPER,
+    {
         "dry_mass_kg": 180.0,
-        "surge": {"mass_kg": 420.0, "linear_damping_kgps": 7.0, "quadratic_damping_kgpm": 300.0},
-        "sway": {"mass_kg": 610.0, "linear_damping_kgps": 31.0, "quadratic_damping_kgpm": 900.0},
-        "heave": {"mass_kg": 330.0, "linear_damping_kgps": 12.0, "quadratic_damping_kgpm": 700.0},
-        "yaw": {"inertia_kgm2": 150.0, "linear_damping_Nms": 15.0, "quadratic_damping_kgm2": 210.0},
-        "thruster": {
-            "port": msgspec.to_builtins(PAPER.thruster.port) | {"arm_m": 0.25, "lag_s": 0.2},
-            "starboard": msgspec.to_builtins(PAPER.thruster.starboard) | {"arm_m": 0.15, "lag_s": 0.45},
-            "vertical": msgspec.to_builtins(PAPER.thruster.vertical),
-        },
+        "surge": Translation(mass_kg=420.0, linear_damping_kgps=7.0, quadratic_damping_kgpm=300.0),
+        "sway": Translation(mass_kg=610.0, linear_damping_kgps=31.0, quadratic_damping_kgpm=900.0),
+        "heave": Translation(mass_kg=330.0, linear_damping_kgps=12.0, quadratic_damping_kgpm=700.0),
+        "yaw": Rotation(inertia_kgm2=150.0, linear_damping_Nms=15.0, quadratic_damping_kgm2=210.0),
+        "thruster.port.arm_m": 0.25,
+        "thruster.starboard.arm_m": 0.15,
+        "thruster.port.lag_s": 0.2,
+        "thruster.starboard.lag_s": 0.45,
     },
-    Vehicle,
 )
 P = GENERAL.coefficients()
-FREE = P._replace(
-    linear_surge=0.0,
-    linear_sway=0.0,
-    linear_heave=0.0,
-    linear_yaw=0.0,
-    quadratic_surge=0.0,
-    quadratic_sway=0.0,
-    quadratic_heave=0.0,
-    quadratic_yaw=0.0,
-)
+FREE = P._replace(**dict.fromkeys((name for name in P._fields if name.startswith(("linear", "quadratic"))), 0.0))
 ZERO = np.zeros(2)
 
 states = arrays(np.float64, 6, elements=st.floats(-2.0, 2.0, allow_subnormal=False))

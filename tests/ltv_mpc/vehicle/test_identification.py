@@ -10,10 +10,12 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from ltv_mpc import Vehicle
+from ltv_mpc.vehicle.dynamics import rates
 from ltv_mpc.vehicle.identification import CannotIdentify, Identification, NotEnoughMotion, identify, with_coefficients
 from ltv_mpc.vehicle.reference_point import ReferencePoint
 from ltv_mpc.vehicle.shooting_fit import Motion, ShootingFit, segments
 from tests.foreign_plant import plant
+from tests.ltv_mpc.vehicles import changed
 
 BELIEVED = Vehicle.load("paper")
 TRUE = {
@@ -50,27 +52,17 @@ def moved(seconds: float, seed: int, *, commands=None, sd=(0.0, 0.0, 0.0), true=
         at = np.ravel(np.column_stack([knots, knots + 3.5]))
         commands = np.column_stack([np.interp(t, at, np.repeat(level[:, i], 2)) for i in range(2)])
 
-    def rates(now: float, y: np.ndarray) -> list[float]:
-        u, v, r, F1, F2, _ = y
-        k = true["thrust"]
-        u1, u2 = (np.interp(now, t, commands[:, i]) for i in range(2))
-        Mx, My, Iz = true["mass_surge"], true["mass_sway"], true["inertia_yaw"]
-        return [
-            (k * (F1 + F2) - (true["linear_surge"] + true["quadratic_surge"] * abs(u)) * u + My * v * r) / Mx,
-            (-(true["linear_sway"] + true["quadratic_sway"] * abs(v)) * v - Mx * u * r) / My,
-            (
-                k * (F1 * true["arm_port"] - F2 * true["arm_starboard"])
-                - (true["linear_yaw"] + true["quadratic_yaw"] * abs(r)) * r
-                + (Mx - My) * u * v
-            )
-            / Iz,
-            (u1 - F1) / true["lag_port"],
-            (u2 - F2) / true["lag_starboard"],
-            r,
-        ]
+    p = BELIEVED.coefficients()
+    p = p._replace(**{name: value for name, value in true.items() if name in p._fields})
+    lag, scale = np.array([p.lag_port, p.lag_starboard]), true["thrust"]
+
+    def slopes(now: float, y: np.ndarray) -> list[float]:
+        command = np.array([np.interp(now, t, commands[:, i]) for i in range(2)])
+        _, _, du, dv, _, dr = rates(y[0], y[1], 0.0, y[2], *(scale * y[3:5]), 0.0, 0.0, 0.0, 0.0, p)
+        return [du, dv, dr, *((command - y[3:5]) / lag), y[2]]
 
     start = [0.0, 0.0, 0.0, *commands[0], 0.0]
-    y = solve_ivp(rates, (0.0, t[-1]), start, t_eval=t, rtol=1e-8, atol=1e-9, max_step=H).y.T
+    y = solve_ivp(slopes, (0.0, t[-1]), start, t_eval=t, rtol=1e-8, atol=1e-9, max_step=H).y.T
     cos, sin = np.cos(y[:, 5]), np.sin(y[:, 5])
     north, east = current
     over_ground = y[:, :3] + np.column_stack([cos * north + sin * east, cos * east - sin * north, 0.0 * t])
@@ -91,14 +83,7 @@ def values(of: Identification) -> dict[str, float]:
     return {one.name: one.value for one in of.coefficients}
 
 
-ARMS = msgspec.structs.replace(
-    BELIEVED,
-    thruster=msgspec.structs.replace(
-        BELIEVED.thruster,
-        port=msgspec.structs.replace(BELIEVED.thruster.port, arm_m=0.24),
-        starboard=msgspec.structs.replace(BELIEVED.thruster.starboard, arm_m=0.16),
-    ),
-)
+ARMS = changed(BELIEVED, {"thruster.port.arm_m": 0.24, "thruster.starboard.arm_m": 0.16})
 """Vehicle file with correct arms, and wrong masses and damping."""
 
 
@@ -185,8 +170,9 @@ def test_no_mass_is_below_the_dry_mass(noisy: Motion) -> None:
 
 
 def test_a_file_with_a_mass_below_the_dry_mass_is_a_start_too(clean: Motion) -> None:
-    light = msgspec.structs.replace(ARMS, surge=msgspec.structs.replace(ARMS.surge, mass_kg=100.0))
-    assert values(identify(light, clean))["mass_surge"] == pytest.approx(420.0, rel=0.03)
+    assert values(identify(changed(ARMS, {"surge.mass_kg": 100.0}), clean))["mass_surge"] == pytest.approx(
+        420.0, rel=0.03
+    )
 
 
 def wild(motion: Motion) -> dict[str, Motion]:
@@ -206,7 +192,7 @@ def wild(motion: Motion) -> dict[str, Motion]:
     }
 
 
-LIGHT = msgspec.structs.replace(ARMS, yaw=msgspec.structs.replace(ARMS.yaw, inertia_kgm2=1.0))
+LIGHT = changed(ARMS, {"yaw.inertia_kgm2": 1.0})
 """Vehicle file whose yaw damping is faster than a step of the integration."""
 
 
@@ -225,9 +211,11 @@ def test_a_log_of_anything_gives_finite_coefficients_or_one_error(vehicle: Vehic
     with_coefficients(vehicle, found.coefficients)
 
 
-def test_a_vehicle_at_rest_excites_nothing(clean: Motion) -> None:
+def test_a_vehicle_at_rest_and_a_run_that_is_too_short_show_nothing(clean: Motion) -> None:
     with pytest.raises(NotEnoughMotion, match="are constant"):
         identify(ARMS, wild(clean)["at rest"])
+    with pytest.raises(NotEnoughMotion, match="at least 5 are needed"):
+        identify(ARMS, Motion(*(x if x is None or len(x) == 3 else x[:200] for x in clean)))
 
 
 def swum(seed: int, sd: tuple[float, float, float], *, largest_N: float = 40.0, seconds: float = 150.0) -> Motion:
@@ -284,8 +272,7 @@ def test_a_hull_of_another_structure_is_reported_and_the_intervals_contain_its_t
 def test_purely_linear_drag_is_within_the_structure() -> None:
     linear = {**TRUE, "quadratic_surge": 0.0, "quadratic_sway": 0.0, "quadratic_yaw": 0.0}
     linear |= {"linear_surge": 150.0, "linear_sway": 220.0, "linear_yaw": 70.0}
-    file = msgspec.structs.replace(ARMS, surge=msgspec.structs.replace(ARMS.surge, quadratic_damping_kgpm=0.0))
-    found = identify(file, moved(90.0, 3, sd=SD, true=linear))
+    found = identify(changed(ARMS, {"surge.quadratic_damping_kgpm": 0.0}), moved(90.0, 3, sd=SD, true=linear))
     assert found.warnings == []
     assert_true(found, linear)
 
@@ -347,10 +334,8 @@ def test_unexcited_coefficients_are_reported_and_keep_their_value() -> None:
     t = np.arange(0.0, 60.0, H)
     both = np.repeat((20.0 + 20.0 * np.sign(np.sin(0.4 * t)))[:, None], 2, axis=1)
     even = {**TRUE, "arm_port": 0.2, "arm_starboard": 0.2, "lag_starboard": 0.2}
-    wrong = msgspec.structs.replace(
-        BELIEVED, surge=msgspec.structs.replace(BELIEVED.surge, linear_damping_kgps=12.0, quadratic_damping_kgpm=90.0)
-    )
-    found = identify(wrong, moved(60.0, 5, commands=both, sd=SD, true=even)).coefficients
+    wrong = changed(BELIEVED, {"surge.linear_damping_kgps": 12.0, "surge.quadratic_damping_kgpm": 90.0})
+    found = identify(wrong, moved(60.0, 3, commands=both, sd=SD, true=even)).coefficients
     excited = {one.name for one in found if one.excited}
     assert "mass_surge" in excited
     turning = {name for name in TRUE if name.endswith(("sway", "yaw")) or name.startswith("reference")}
@@ -359,12 +344,6 @@ def test_unexcited_coefficients_are_reported_and_keep_their_value() -> None:
     kept = with_coefficients(wrong, found)
     assert (kept.sway, kept.yaw, kept.reference_point) == (wrong.sway, wrong.yaw, wrong.reference_point)
     assert kept.surge.linear_damping_kgps == wrong.surge.linear_damping_kgps
-
-
-def test_a_run_that_is_too_short_raises_an_error(clean: Motion) -> None:
-    short = Motion(*(x if x is None or len(x) == 3 else x[:200] for x in clean))
-    with pytest.raises(NotEnoughMotion, match="at least 5 are needed"):
-        identify(ARMS, short)
 
 
 def test_segments_end_at_gaps() -> None:

@@ -4,33 +4,26 @@ from __future__ import annotations
 
 import math
 
-import msgspec
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
 from ltv_mpc import Vehicle
-from ltv_mpc.vehicle.parameters import Rotation, Translation
 from ltv_mpc.vehicle.performance import performance, straight_thrusts, top_speed, turning_thrusts
+from tests.ltv_mpc.vehicles import changed
 
-replace = msgspec.structs.replace
 PAPER = Vehicle.load("paper")
 SURFACE = Vehicle.load("surface")
 
 
-def lateral(vehicle: Vehicle, port: dict | None = None, starboard: dict | None = None) -> Vehicle:
-    """Return the vehicle with changed values of its lateral thrusters."""
-    both = vehicle.thruster
-    return replace(
-        vehicle,
-        thruster=replace(
-            both, port=replace(both.port, **(port or {})), starboard=replace(both.starboard, **(starboard or {}))
-        ),
-    )
+def lateral(port: dict[str, float], starboard: dict[str, float]) -> Vehicle:
+    """Return the paper's vehicle with other values of its lateral thrusters."""
+    sides = (("port", port), ("starboard", starboard))
+    return changed(PAPER, {f"thruster.{side}.{key}": value for side, of in sides for key, value in of.items()})
 
 
 INSTANT = {"lag_s": 0.0, "slew_N_per_s": 1e6}
-PROMPT = lateral(PAPER, INSTANT, INSTANT)
+PROMPT = lateral(INSTANT, INSTANT)
 
 
 def test_at_top_speed_drag_equals_thrust() -> None:
@@ -43,17 +36,17 @@ def test_at_top_speed_drag_equals_thrust() -> None:
 
 
 def test_both_dampings_count() -> None:
-    both = replace(PAPER, surge=Translation(mass_kg=500.0, linear_damping_kgps=100.0, quadratic_damping_kgpm=500.0))
+    both = changed(PAPER, {"surge.linear_damping_kgps": 100.0})
     # 500 V^2 + 100 V = 125
     assert performance(both).top_speed_ahead_mps == pytest.approx((-100.0 + math.sqrt(1e4 + 2.5e5)) / 1000.0)
 
 
 def test_straight_thrusts_of_unequal_arms_have_no_moment() -> None:
-    uneven = lateral(PAPER, {"arm_m": 0.1}, {"arm_m": 0.2})
+    uneven = lateral({"arm_m": 0.1}, {"arm_m": 0.2})
     F = straight_thrusts(uneven, ahead=True)
     np.testing.assert_allclose(F, [62.5, 31.25])
     assert top_speed(uneven, F) == pytest.approx(math.sqrt(93.75 / 500.0))
-    middle = lateral(PAPER, {"arm_m": 0.0})
+    middle = lateral({"arm_m": 0.0}, {})
     assert straight_thrusts(middle, ahead=False) == pytest.approx([-62.5, 0.0])
 
 
@@ -122,20 +115,16 @@ def test_surge_follows_tanh_and_sway_decays_by_quadratic_drag() -> None:
 
 def test_a_quarter_turn_without_drag_accelerates_for_half_of_it() -> None:
     """The turn is theta = N t^2 / (4 I), from rest to rest."""
-    free = replace(PROMPT, yaw=Rotation(inertia_kgm2=179.049, linear_damping_Nms=1e-3, quadratic_damping_kgm2=0.0))
+    free = changed(PROMPT, {"yaw.linear_damping_Nms": 1e-3, "yaw.quadratic_damping_kgm2": 0.0})
     assert performance(free).turn_90deg_s == pytest.approx(math.sqrt(4 * 179.049 * math.pi / 2 / 25.0), rel=0.03)
     assert performance(PAPER).turn_90deg_s > performance(PROMPT).turn_90deg_s + 0.3
 
 
 def test_figures_that_do_not_exist_are_none() -> None:
-    bare = replace(
-        PAPER,
-        surge=Translation(mass_kg=500.0, linear_damping_kgps=0.0, quadratic_damping_kgpm=0.0),
-        yaw=Rotation(inertia_kgm2=179.0, linear_damping_Nms=0.0, quadratic_damping_kgm2=0.0),
-    )
-    can = performance(bare)
+    free = ("surge.linear_damping_kgps", "surge.quadratic_damping_kgpm", "yaw.linear_damping_Nms")
+    can = performance(changed(PAPER, dict.fromkeys((*free, "yaw.quadratic_damping_kgm2"), 0.0)))
     assert can.top_speed_ahead_mps is None
     assert can.turning_rate_port_radps is None
     assert can.stopping_distance_m is None
-    one_way = lateral(PAPER, {"min_N": 0.0}, {"min_N": 0.0})
+    one_way = lateral({"min_N": 0.0}, {"min_N": 0.0})
     assert performance(one_way).top_speed_astern_mps == 0.0

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import pytest
 
@@ -14,6 +13,7 @@ from ltv_mpc.vehicle import parameters
 from ltv_mpc.vehicle.performance import performance
 from ltv_mpc.vehicle.plausibility import warnings
 from tests.ltv_mpc.control.test_scaling import scaled
+from tests.ltv_mpc.vehicles import changed
 
 FOLDER = Path(parameters.__file__).parent
 PAPER = (FOLDER / "files" / "paper.toml").read_text()
@@ -38,17 +38,11 @@ def warnings_of(vehicle: Vehicle) -> list[str]:
 def of_size(size: float) -> Vehicle:
     """Return the paper's vehicle that many times as long, and as fast as a hull of that length."""
     vehicle = scaled(Vehicle.load("paper"), size, math.sqrt(size), size**3)
-    thruster = {
-        side: msgspec.structs.replace(
-            one, propeller_diameter_m=size * one.propeller_diameter_m, max_rps=one.max_rps / math.sqrt(size)
-        )
-        for side, one in zip(("port", "starboard", "vertical"), vehicle.thrusters, strict=True)
-    }
-    return msgspec.structs.replace(
-        vehicle,
-        hull=parameters.Hull(length_m=2.0 * size, beam_m=0.65 * size),
-        thruster=msgspec.structs.replace(vehicle.thruster, **thruster),
-    )
+    values = {"hull": parameters.Hull(length_m=2.0 * size, beam_m=0.65 * size)}
+    for side, one in zip(("port", "starboard", "vertical"), vehicle.thrusters, strict=True):
+        values[f"thruster.{side}.propeller_diameter_m"] = size * one.propeller_diameter_m
+        values[f"thruster.{side}.max_rps"] = one.max_rps / math.sqrt(size)
+    return changed(vehicle, values)
 
 
 @pytest.mark.parametrize("name", [*sorted((FOLDER / "files").glob("*.toml")), FOLDER / "template.toml"])
@@ -106,22 +100,16 @@ def test_a_wrong_value_is_named(before: str, after: str, says: str, tmp_path: Pa
     [("max_rps", 432.0, "rev/min"), ("propeller_diameter_m", 9.8, "at most 0.7 m"), ("max_N", 6.37, "kgf or lbf")],
 )
 def test_a_wrong_value_of_the_vertical_thruster_alone_is_named(field: str, value: float, says: str) -> None:
-    paper = Vehicle.load("paper")
-    vertical = msgspec.structs.replace(paper.thrusters[2], **{field: value})
-    thrusters = msgspec.structs.replace(paper.thruster, vertical=vertical)
-    (sentence, *_) = warnings_of(msgspec.structs.replace(paper, thruster=thrusters))
+    (sentence, *_) = warnings_of(changed(Vehicle.load("paper"), {f"thruster.vertical.{field}": value}))
     assert sentence.startswith(f"[thruster.vertical] {field} = {value:g}")
     assert says in sentence
 
 
 def test_the_arm_of_a_vehicle_without_a_hull_is_not_compared_with_a_beam() -> None:
-    port = msgspec.structs.replace(Vehicle.load("paper").thruster.port, arm_m=20.0)
-    thruster = msgspec.structs.replace(Vehicle.load("paper").thruster, port=port)
-    sentences = warnings_of(msgspec.structs.replace(Vehicle.load("paper"), thruster=thruster, hull=None))
+    sentences = warnings_of(changed(Vehicle.load("paper"), {"thruster.port.arm_m": 20.0, "hull": None}))
     assert any(" m fit 200 kg; is it in m?" in sentence for sentence in sentences), sentences
 
 
-def test_a_thruster_without_any_delay_gives_a_warning(tmp_path: Path) -> None:
-    text = PAPER.replace("lag_s = 0.3 ", "lag_s = 0.0 ").replace("slew_N_per_s = 100.0", "slew_N_per_s = 100000.0")
-    (tmp_path / "mine.toml").write_text(text)
-    assert any("full thrust in 0.62 ms" in one for one in warnings_of(Vehicle.load(str(tmp_path / "mine.toml"))))
+def test_a_thruster_without_any_delay_gives_a_warning() -> None:
+    prompt = changed(Vehicle.load("paper"), {"thruster.port.lag_s": 0.0, "thruster.port.slew_N_per_s": 1e5})
+    assert any("full thrust in 0.62 ms" in one for one in warnings_of(prompt))

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from ltv_mpc.vehicle.parameters import Vehicle
 from ltv_mpc.vehicle.propulsion import propulsive_power_W, relative_power, shaft_power_W
 from ltv_mpc.vehicle.thruster import revolutions, thrust
+from tests.ltv_mpc.vehicles import changed
 
 PAPER = Vehicle.load("paper")  # d = 0.25 m, K_Q = 0.056 - 0.042 J, 1025 kg/m3
 RHO, D = 1025.0, 0.25
@@ -79,7 +80,7 @@ def test_the_inflow_of_the_vertical_propeller_is_the_sinking_speed() -> None:
 
 def test_without_torque_coefficients_there_is_no_power() -> None:
     bare = msgspec.structs.replace(PAPER.thruster.port, torque_coefficient=None, torque_inflow_coefficient=None)
-    vehicle = msgspec.structs.replace(PAPER, thruster=msgspec.structs.replace(PAPER.thruster, port=bare))
+    vehicle = changed(PAPER, {"thruster.port": bare})
     assert propulsive_power_W(vehicle, np.zeros((1, 3)), np.zeros(1), np.zeros(1)) is None
 
 
