@@ -9,7 +9,6 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import msgspec
 import numpy as np
 import pytest
 
@@ -23,6 +22,7 @@ from ltv_mpc.vehicle.shooting_fit import Motion
 from services.cli.app import run
 from services.tools import autopilot_log
 from tests.foreign_plant.mavlink_flight import EXAMPLE
+from tests.ltv_mpc.vehicles import changed
 from tests.services.edges.mavlink.items import codec
 
 BOAT = Vehicle.load("bluerobotics-boat")
@@ -156,22 +156,17 @@ def test_a_log_has_the_motion_of_the_drive_its_thrusts_and_when_it_was_armed(kin
 def test_the_vehicle_that_made_a_log_is_found(kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log, wrong = tmp_path / kind, tmp_path / "wrong.toml"
     KINDS[kind](log)
-    replace, surge, sway, yaw = msgspec.structs.replace, BOAT.surge, BOAT.sway, BOAT.yaw
-    other = replace(
-        BOAT,
-        surge=replace(surge, mass_kg=1.4 * surge.mass_kg),
-        sway=replace(sway, mass_kg=1.4 * sway.mass_kg),
-        yaw=replace(yaw, inertia_kgm2=1.4 * yaw.inertia_kgm2),
-    )
-    wrong.write_text(to_toml(other))
+    true = {"surge.mass_kg": BOAT.surge.mass_kg, "sway.mass_kg": BOAT.sway.mass_kg}
+    too_much = {key: 1.4 * value for key, value in (true | {"yaw.inertia_kgm2": BOAT.yaw.inertia_kgm2}).items()}
+    wrong.write_text(to_toml(changed(BOAT, too_much)))
     assert run(["vehicle", "identify", str(log), "--vehicle", str(wrong), "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
     assert report["input"] == "pwm"
     assert report["left_out_s"] == pytest.approx(2.0, abs=0.5)  # disarmed
     found = {one["name"]: one for one in report["found"]}
-    for name, true in (("mass_surge", surge.mass_kg), ("mass_sway", sway.mass_kg)):
+    for name, value in zip(("mass_surge", "mass_sway"), true.values(), strict=True):
         assert found[name]["excited"]
-        assert found[name]["value"] == pytest.approx(true, rel=0.05)
+        assert found[name]["value"] == pytest.approx(value, rel=0.05)
     assert max(report["residual_sd"][:2]) < 0.007  # an initial state that stays behind in a local minimum leaves 0.01
 
 
