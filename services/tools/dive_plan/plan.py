@@ -16,7 +16,7 @@ import dataclasses
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -289,16 +289,12 @@ def gains(base: Case) -> dict[str, Case]:
 
 def scaled(case: Case, keys: Sequence[str], factor: float) -> Case:
     """Return the case with the variances of the named settings multiplied by a factor."""
-    sensors, water = case.sensor_config, case.config
-    for key in keys:
-        table, field = key.split(".")
-        settings = water if table == "water" else getattr(sensors, table)
-        changed = replace(settings, **{field: getattr(settings, field) * math.sqrt(factor)})
-        if table == "water":
-            water = changed
-        else:
-            sensors = replace(sensors, **{table: changed})
-    return case._replace(sensor_config=sensors, config=water)
+    tables: dict[str, Any] = {**msgspec.structs.asdict(case.sensor_config), "water": case.config}
+    for table, field in (key.split(".") for key in keys):
+        sd = getattr(tables[table], field) * math.sqrt(factor)
+        tables[table] = replace(tables[table], **{field: sd})
+    water = tables.pop("water")
+    return case._replace(sensor_config=replace(case.sensor_config, **tables), config=water)
 
 
 def turned(trajectory: Trajectory) -> Trajectory:
