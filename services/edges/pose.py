@@ -25,14 +25,9 @@ def rotation(w: float, x: float, y: float, z: float) -> Array:
     length = math.sqrt(w * w + x * x + y * y + z * z)
     if not abs(length - 1.0) <= UNIT:  # also true for NaN
         raise Refused(f"orientation: a quaternion of length {length:.3g}, not 1")
-    w, x, y, z = w / length, x / length, y / length, z / length
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    cross = np.cross(np.eye(3), (x / length, y / length, z / length))  # [v], of the vector part
+    R: Array = np.eye(3) + 2.0 * w / length * cross + 2.0 * cross @ cross
+    return R
 
 
 def wrapped(angle: float) -> float:

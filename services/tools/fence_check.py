@@ -38,7 +38,6 @@ class FenceCheck(NamedTuple):
 
     zones: list[ZoneCheck]
     narrowest: Pair | None  # width of the narrowest corridor of the allowed path, where on the path (m); None: open
-    widest_margin_m: float
     duration_s: float  # of the allowed path
     problems: list[str]
     notes: list[str]
@@ -84,7 +83,7 @@ def check_fence(fence: Fence, hull_m: float, schedule: Schedule, start: Pair | N
             length_m = float(np.hypot(*np.diff(leg, axis=0).T).sum())
             notes.append(f"the way from the start leads round the zones: {length_m:.1f} m")
     narrowest = None if is_point else _narrowest(fence, packed, allowed, hull_m)
-    return FenceCheck(checks, narrowest, float(packed.margin.max()), allowed.duration_s, problems, notes)
+    return FenceCheck(checks, narrowest, allowed.duration_s, problems, notes)
 
 
 def distance(free_m: float) -> str:

@@ -104,7 +104,7 @@ def check_mission(
         problems += [*found.problems, *_margin_problems(zones, stopping_m, speed_mps)]
         corridor_m = None if found.narrowest is None else found.narrowest[0]
         if drift_m is not None:
-            needed_m = 2.0 * hull_m + 2.0 * found.widest_margin_m + drift_m
+            needed_m = 2.0 * hull_m + 2.0 * max(zone.margin_m for zone in zones) + drift_m
             problems += _width_problems(found.narrowest, needed_m, drift_m, current_mps)
     return MissionCheck(
         length_m=0.0 if schedule is None else float(schedule.table[WAY, -1]),

@@ -7,10 +7,11 @@ import time
 
 from ltv_mpc.messages import NodeStatus
 from ltv_mpc.vehicle.parameters import Vehicle
+from services.bus.mailbox import Mailbox
 from services.bus.options import BusOptions
 from services.bus.roles import ROUTER
 from services.bus.session import open_session
-from services.bus.topics import BY_TYPE, Topic
+from services.bus.topics import BY_TYPE
 from services.reporting.terminal import RunScreen
 from services.runtime.console import Console
 from services.runtime.serve import run_until_stopped
@@ -32,21 +33,6 @@ def state_of(monitor: BusMonitor, node: str, now_s: float) -> str:
     return f"silent for {silent_s:.0f} s" if silent_s > SILENT_S else "running"
 
 
-class NamespaceFinder:
-    """Receiver of every status on the bus, which remembers the namespaces of their keys."""
-
-    def __init__(self) -> None:
-        self._found: set[str] = set()
-
-    def offer(self, topic: Topic | None, key: str, payload: bytes) -> None:  # noqa: ARG002  # the key says it all
-        """Take the namespace of a key; called on Zenoh's thread."""
-        self._found.add(key.rpartition(f"/{STATUS}/")[0])
-
-    def found(self) -> list[str]:
-        """Return the namespaces in which processes publish."""
-        return sorted(self._found.copy() - {""})
-
-
 def silence(monitor: BusMonitor, now_s: float) -> str:
     """Return that no message has arrived yet, or for how long none has (s); empty while messages arrive."""
     activity = monitor.last_activity(ROUTER)
@@ -63,7 +49,7 @@ def main(bus: BusOptions, vehicle: str | None) -> int:
 
     def work(request: StopRequest, say: Say) -> None:
         with open_session(bus, stop=request, say=say) as session:
-            monitor, others, named = BusMonitor(session, ["*"]), NamespaceFinder(), set[str]()
+            monitor, others, named = BusMonitor(session, ["*"]), Mailbox(), {""}
             if not bus.namespace:
                 session.subscribe(f"**/{STATUS}/*", BY_TYPE[NodeStatus], others)
             started_s = time.monotonic()
@@ -74,8 +60,9 @@ def main(bus: BusOptions, vehicle: str | None) -> int:
                     states = {node: state_of(monitor, node, now_s) for node in monitor.nodes()}
                     view = monitor.view(states, now_s - started_s)
                     screen.update(dataclasses.replace(view, phase=silence(monitor, now_s) or view.phase))
-                    for namespace in others.found() if not states else ():
-                        if namespace not in named:
+                    while (status := others.take(0.0)) is not None:
+                        namespace = status.key.rpartition(f"/{STATUS}/")[0]
+                        if not states and namespace not in named:
                             screen.say(f"processes publish in another namespace: add --namespace {namespace}")
                             named.add(namespace)
             finally:

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from benchmarks import sheet
 from benchmarks.paper.renderer import Run, draw
-from services.reporting.plots import catalogue, palette
+from services.reporting.plots import catalogue
 from services.reporting.plots.catalogue import PLOTS
 from services.reporting.plots.description import Plot, Style
 from services.reporting.plots.recorded import read
@@ -49,17 +49,6 @@ def test_a_plot_of_one_run_has_every_series_in_its_colour_and_says_its_units(plo
         assert line.get_color() == series.colour
         for found, name in zip(line.get_data(), (series.x, series.y), strict=True):
             np.testing.assert_array_equal(np.asarray(found), np.array(table[name], dtype=float))
-
-
-@pytest.mark.parametrize("plot", PLOTS, ids=lambda plot: plot.name)
-def test_of_several_runs_what_is_compared_is_drawn_for_each(plot: Plot, dive: Run) -> None:
-    compared = [series for series in plot.series if series.compared]
-    axes = drawn(plot, dive, dive._replace(name="another"))
-    lines = [line for line in axes.lines if line.get_marker() == "None"]
-    assert [line.get_color() for line in lines] == [colour for colour in palette.RUNS[:2] for _ in compared]
-    assert said(axes)[:2] == ["a dive", "another"]
-    if len(compared) > 1:
-        assert said(axes)[2:] == [series.label for series in compared]
 
 
 def test_depth_grows_downwards_and_a_logarithmic_axis_is_one(dive: Run) -> None:

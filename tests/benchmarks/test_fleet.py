@@ -8,7 +8,6 @@ from benchmarks.fleet import trial
 from benchmarks.fleet.controllers import Controllers
 from benchmarks.fleet.fleet import Fleet, namespace
 from benchmarks.fleet.plants import Plants
-from benchmarks.processes import Started
 from services.supervisor.loopback import free_port
 from sim.evaluation.metrics import quantiles
 
@@ -51,14 +50,6 @@ def test_what_gives_way_is_the_process_that_has_no_more_to_give(figures, limit):
     assert made.limit == limit
     assert made.controller_busy_per_vehicle == pytest.approx(figures.get("mind_cpu_s", 1.0) / 10.0 / 3)
     assert made.rejected == 3
-
-
-def test_a_process_that_ends_early_is_named():
-    with (
-        pytest.raises(trial.TrialFailed, match=r"benchmarks.fleet.plants has ended with exit code 1"),
-        Started() as started,
-    ):
-        trial.start(started, "benchmarks.fleet.plants", "not a fleet")
 
 
 def test_three_vehicles_are_held_each_on_its_own_keys_by_two_processes():

@@ -26,7 +26,7 @@ from services.tools.batch import results_store
 from services.tools.batch.executor import MAX_LOSSES, run_each
 from services.tools.batch.results_store import ResultsStore
 from services.tools.campaign import trial
-from services.tools.campaign.file import Campaign, Point, Range, Value, points, value_at
+from services.tools.campaign.file import Campaign, Point, Range, points, value_at
 from services.tools.campaign.trial import Base, Row, Trial, row_of, run_config, version_of
 
 FILE, BASE = "campaign.toml", "base"
@@ -56,24 +56,8 @@ class PreparedCampaign(msgspec.Struct, frozen=True, dict=True):
 
     def trials(self) -> Iterator[Trial]:
         """Generate the trials, seed by seed within each point."""
-        seeds = self.campaign.seeds
-        for number, point in enumerate(self.points):
-            settings, factors = self.settings(point), self.factors(point)
-            for k in range(seeds.count):
-                yield Trial(number, seeds.first + k, settings, factors, point)
-
-    def settings(self, point: Point) -> dict[str, Value]:
-        """Return the fields that this point sets."""
-        own = {key: value for key, value in point.items() if key not in self.campaign.scale}
-        return {**self.campaign.settings, **own}
-
-    def factors(self, point: Point) -> dict[str, float]:
-        """Return the factors by which this point multiplies fields."""
-        made: dict[str, float] = {}
-        for name, powers in self.campaign.scale.items():
-            for key, power in powers.items() if name in point else ():
-                made[key] = made.get(key, 1.0) * float(point[name]) ** power
-        return made
+        first, count = self.campaign.seeds.first, self.campaign.seeds.count
+        return (Trial(number, first + k, point) for number, point in enumerate(self.points) for k in range(count))
 
 
 def plan(campaign: Campaign, source: str) -> PreparedCampaign:
@@ -92,7 +76,7 @@ def plan(campaign: Campaign, source: str) -> PreparedCampaign:
 
 def _try(made: PreparedCampaign, point: Point, field: str, source: str) -> None:
     try:
-        run_config(made.base, made.settings(point), made.factors(point), made.campaign.seeds.first)
+        run_config(made.base, made.campaign, Trial(0, made.campaign.seeds.first, point))
     except ConfigError as error:
         raise ConfigError(source, field, str(error)) from None
 
@@ -121,7 +105,7 @@ def run(
     def lost(one: Trial) -> Row:
         return row_of(one, made.version, f"its process was lost {MAX_LOSSES} times")
 
-    work = partial(trial.run, made.base, made.version)
+    work = partial(trial.run, made.base, made.campaign, made.version)
     for place, row in run_each(work, missing, workers=workers, cluster=cluster, stop=stop, lost=lost):
         store.append(missing[place].key, row)
         yield row

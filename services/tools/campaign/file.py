@@ -135,6 +135,19 @@ class Campaign(_Table, frozen=True, kw_only=True):
         """Return all keys in which points differ, those of ``vary`` and those of ``cross``."""
         return {**self.vary, **self.cross}
 
+    def point_settings(self, point: Point) -> dict[str, Value]:
+        """Return the fields that this point sets."""
+        own = {key: value for key, value in point.items() if key not in self.scale}
+        return {**self.settings, **own}
+
+    def factors(self, point: Point) -> dict[str, float]:
+        """Return the factors by which this point multiplies fields."""
+        made: dict[str, float] = {}
+        for name, powers in self.scale.items():
+            for key, power in powers.items() if name in point else ():
+                made[key] = made.get(key, 1.0) * float(point[name]) ** power
+        return made
+
 
 def load(path: Path) -> Campaign:
     """Read and check a campaign file; a scenario's FILE is relative to it. Raises ``ConfigError``."""

@@ -33,7 +33,7 @@ from services.run.folder import write_files
 from services.run.provenance import provenance_table
 from services.run.run_config import Override, RunConfig, resolve
 from services.tools import lockstep_run
-from services.tools.campaign.file import REFERENCE, VEHICLE, Point, Value, metrics
+from services.tools.campaign.file import REFERENCE, VEHICLE, Campaign, Point, Value, metrics
 
 Base: TypeAlias = tuple[tuple[str, str], ...]
 """Files of a run's folder, as (path, text), from ``RunConfig.files``."""
@@ -53,19 +53,17 @@ TIMING = ("host", "ended", "wall_s")
 class Trial(NamedTuple):
     """One point of the design with one seed."""
 
-    point: int
+    number: int  # of the point
     seed: int
-    settings: Point  # fields with another value than the base's
-    factors: Mapping[str, float]  # by what fields are multiplied then
-    varied: Point  # in what the design's points differ: columns of the row
+    point: Point
 
     @property
     def key(self) -> str:
         """Return the unique name of the trial within the campaign."""
-        return f"point {self.point}, seed {self.seed}"
+        return f"point {self.number}, seed {self.seed}"
 
 
-def run(base: Base, version: str, trial: Trial) -> Row:
+def run(base: Base, campaign: Campaign, version: str, trial: Trial) -> Row:
     """Make the run and return its row; if the run fails, ``failed`` has the reason."""
     ours = version_of(provenance_table())
     if ours != version:
@@ -77,7 +75,7 @@ def run(base: Base, version: str, trial: Trial) -> Row:
         )
     started = time.perf_counter()
     try:
-        summary = lockstep_run.run(run_config(base, trial.settings, trial.factors, trial.seed))
+        summary = lockstep_run.run(run_config(base, campaign, trial))
     except Exception as error:  # one failed run does not end the campaign; its row gives the reason
         problem = str(error) if isinstance(error, ConfigError) else f"{type(error).__name__}: {error}"
         return row_of(trial, version, one_line(problem)[:500])
@@ -89,8 +87,8 @@ def run(base: Base, version: str, trial: Trial) -> Row:
 def row_of(trial: Trial, version: str, failed: str = "") -> Row:
     """Return a row without metrics."""
     timing = {"host": platform.node(), "ended": datetime.now(UTC).isoformat(timespec="milliseconds")}
-    who = {"point": trial.point, "seed": trial.seed, "version": version, "failed": failed or None}
-    return {**who, **trial.varied, **timing}
+    who = {"point": trial.number, "seed": trial.seed, "version": version, "failed": failed or None}
+    return {**who, **trial.point, **timing}
 
 
 def version_of(table: Mapping[str, str]) -> str:
@@ -98,10 +96,11 @@ def version_of(table: Mapping[str, str]) -> str:
     return f"{table['ltv_mpc']} {table['commit']}"
 
 
-def run_config(base: Base, settings: Mapping[str, Value], factors: Mapping[str, float], seed: int) -> RunConfig:
+def run_config(base: Base, campaign: Campaign, trial: Trial) -> RunConfig:
     """Resolve the settings of a trial's run. Raises ``ConfigError``."""
-    plain = _with_settings(base, settings, seed)
-    if not factors:
+    settings = campaign.point_settings(trial.point)
+    plain = _with_settings(base, settings, trial.seed)
+    if not (factors := campaign.factors(trial.point)):
         return plain
     tables = {VEHICLE: plain.vehicle, REFERENCE: plain.reference, "controller": plain.controller}
     values = flat(msgspec.to_builtins(plain.scenario) | msgspec.to_builtins(tables))
@@ -110,7 +109,7 @@ def run_config(base: Base, settings: Mapping[str, Value], factors: Mapping[str, 
         if values.get(key) is None:
             raise ConfigError("campaign", key, "has no base value to scale")
         scaled[key] = float(values[key]) * factor
-    return _with_settings(base, scaled, seed)
+    return _with_settings(base, scaled, trial.seed)
 
 
 def _with_settings(base: Base, settings: Mapping[str, Value], seed: int) -> RunConfig:

@@ -16,7 +16,7 @@ import dataclasses
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -163,37 +163,29 @@ class Flight(NamedTuple):
     drift_m: list[float]  # at the instants of the case
 
 
-class _Track:
-    """True track of a simulated dive, and whether its path is complete."""
-
-    def __init__(self) -> None:
-        self.truths: list[Truth] = []
-        self.complete = False
-
-    def keep(self, message: Message) -> None:
-        """Take a message of the dive."""
-        match message:
-            case Truth() as truth if truth.t_ns % TRACK_NS == 0:
-                self.truths.append(truth)
-            case Plan(progress=progress):
-                self.complete = progress is not None and progress >= 1.0
-
-
 def fly(dive: Dive) -> Flight:
     """Simulate the dive with its filter in the loop, and compute the drift along its track.
 
     Raises ``ConfigError`` for bad input, and if the depth grid of the filter would be too deep.
     """
     run_config = dive.run_config()
-    scenario, track = run_config.scenario, _Track()
-    lockstep_run.simulate(run_config, keep=track.keep, stop=lambda: track.complete and dive.duration_s is None)
-    position = np.array([truth.position_m for truth in track.truths])
+    scenario, truths, complete = run_config.scenario, list[Truth](), list[Plan]()
+
+    def keep(message: Message) -> None:
+        match message:
+            case Truth() as truth if truth.t_ns % TRACK_NS == 0:
+                truths.append(truth)
+            case Plan(progress=float(progress)) as plan if progress >= 1.0:
+                complete.append(plan)
+
+    lockstep_run.simulate(run_config, keep=keep, stop=lambda: bool(complete) and dive.duration_s is None)
+    position = np.array([truth.position_m for truth in truths])
     config = deep_enough(scenario.estimator, float(position[:, 2].max()), run_config.sensor_config.adcp.range_m)
     trajectory = Trajectory(
-        t_s=np.array([truth.t_ns * 1e-9 for truth in track.truths]),
+        t_s=np.array([truth.t_ns * 1e-9 for truth in truths]),
         position_m=position,
-        velocity_mps=np.array([truth.velocity_mps for truth in track.truths]),
-        rotation=np.array([rotation(*truth.attitude_rad) for truth in track.truths]),
+        velocity_mps=np.array([truth.velocity_mps for truth in truths]),
+        rotation=np.array([rotation(*truth.attitude_rad) for truth in truths]),
         water_mps=run_config.water.over(grid(config), 0),
     )
     at_s = tuple(float(trajectory.t_s[-1]) * (k + 1) / POINTS for k in range(POINTS))
@@ -297,16 +289,12 @@ def gains(base: Case) -> dict[str, Case]:
 
 def scaled(case: Case, keys: Sequence[str], factor: float) -> Case:
     """Return the case with the variances of the named settings multiplied by a factor."""
-    sensors, water = case.sensor_config, case.config
-    for key in keys:
-        table, field = key.split(".")
-        settings = water if table == "water" else getattr(sensors, table)
-        changed = replace(settings, **{field: getattr(settings, field) * math.sqrt(factor)})
-        if table == "water":
-            water = changed
-        else:
-            sensors = replace(sensors, **{table: changed})
-    return case._replace(sensor_config=sensors, config=water)
+    tables: dict[str, Any] = {**msgspec.structs.asdict(case.sensor_config), "water": case.config}
+    for table, field in (key.split(".") for key in keys):
+        sd = getattr(tables[table], field) * math.sqrt(factor)
+        tables[table] = replace(tables[table], **{field: sd})
+    water = tables.pop("water")
+    return case._replace(sensor_config=replace(case.sensor_config, **tables), config=water)
 
 
 def turned(trajectory: Trajectory) -> Trajectory:

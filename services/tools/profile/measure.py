@@ -27,7 +27,6 @@ import numpy as np
 from ltv_mpc.control.config import ControllerConfig, ResolvedConfig
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.node import ControllerNode
-from ltv_mpc.control.ocp.problem import Problem
 from ltv_mpc.control.problem_data import CHANGES, COMMANDS
 from ltv_mpc.control.scaling import thrust_scale
 from ltv_mpc.control.solvers import Solver, SolverFactory, make
@@ -124,7 +123,6 @@ class _Bench(ControllerNode):
         super().__init__(episode.vehicle, episode.reference, episode.config)
         self._left = episode.cycles
         self._controllers = controllers
-        self._exact = _Exact()
         self._order = order
         self._progress = progress
         self._begun = False
@@ -147,8 +145,9 @@ class _Bench(ControllerNode):
         plan = driver.plan(estimate, t_ns=t_ns)
         if plan.solve.status is not SolveStatus.NOT_RUN:
             if self._begun:  # the first cycle starts from a crude guess
+                exact = PiqpYardstick(EXACT).solve(plans[0][0].recorded.problem, 0.0).z  # the same problem for all
                 for controller, measured_plan in plans:
-                    controller.keep(measured_plan, self._exact)
+                    controller.keep(measured_plan, exact)
                 self._left -= 1
                 self._progress()
             self._begun = True
@@ -162,7 +161,7 @@ class _MeasuredController:
     def __init__(self, candidate: Candidate, episode: Episode, into: Samples) -> None:
         self.timer = StageTimer()
         self._make_solver = candidate.make_solver
-        self._recorded: RecordingSolver
+        self.recorded: RecordingSolver
         parts = episode.vehicle, episode.reference, episode.config
         self.controller = Controller(*parts, make_solver=self._make_recorded, stopwatch=self.timer)
         self._into = into
@@ -171,8 +170,8 @@ class _MeasuredController:
         self._stage_us: dict[str, float] = {}
 
     def _make_recorded(self, vehicle: Vehicle, config: ControllerConfig) -> Solver:
-        self._recorded = RecordingSolver(self._make_solver(vehicle, config))
-        return self._recorded
+        self.recorded = RecordingSolver(self._make_solver(vehicle, config))
+        return self.recorded
 
     def plan(self, driver: Controller, estimate: Estimate, t_ns: int) -> Plan:
         """Measure one cycle, interleaved and then repeated."""
@@ -191,8 +190,8 @@ class _MeasuredController:
         plan = controller.plan(estimate, t_ns=t_ns)
         return plan, (time.monotonic_ns() - started_ns) / 1000
 
-    def keep(self, plan: Plan, exact: _Exact) -> None:
-        """Record the cycle that produced ``plan``."""
+    def keep(self, plan: Plan, exact: Array) -> None:
+        """Record the cycle that produced ``plan``, whose problem has the solution ``exact`` (N+1, 12)."""
         into = self._into
         into.cycle_us.append(self._cycle_us)
         into.repeated_us.append(self._repeated_us)
@@ -201,21 +200,6 @@ class _MeasuredController:
             sample.append(self._stage_us.get(stage, 0.0))
         into.iterations.append(plan.solve.iterations)
         into.status[plan.solve.status] += 1
-        off = self._recorded.result.z[1] - exact.solution(self._recorded.problem)[1]
+        off = self.recorded.result.z[1] - exact[1]
         error = np.abs(off[COMMANDS:CHANGES] * self._largest_N).max()
         into.thrust_error_N.append(float(error) if np.isfinite(error) else np.nan)
-
-
-class _Exact:
-    """Reference solution, with a tolerance far below every candidate's."""
-
-    def __init__(self) -> None:
-        self._along = b""
-        self._z: Array = np.empty(0)
-
-    def solution(self, problem: Problem) -> Array:
-        """Return states and inputs (N+1, 12) of the problem; the last problem's solution is kept."""
-        along = problem.f.tobytes() + problem.h.tobytes() + problem.low.tobytes()
-        if along != self._along:
-            self._along, self._z = along, PiqpYardstick(EXACT).solve(problem, 0.0).z
-        return self._z

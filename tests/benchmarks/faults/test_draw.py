@@ -4,11 +4,8 @@ from __future__ import annotations
 
 from collections import Counter
 
-import pytest
-
 from benchmarks.faults import campaign, draw, kinds
 from benchmarks.faults.kinds import Place
-from ltv_mpc.errors import ConfigError
 
 INSIDE = [kind for kind in kinds.KINDS if kind.place is Place.LOCKSTEP]
 
@@ -25,16 +22,3 @@ def test_faults_are_a_function_of_the_seed_and_spread_evenly_over_classes_and_ta
     off = Counter(fault.target for fault in faults if fault.kind == "sensor_off")
     assert set(off) == set(kinds.INSTRUMENTS)
     assert max(off.values()) - min(off.values()) <= 1
-
-
-@pytest.mark.parametrize(
-    ("classes", "where", "said"),
-    [
-        ("sensor_of", "both", "must be one of sensor_off, sensor_stuck"),
-        ("thruster_loss", "processes", "no fault class of thruster_loss exists there"),
-    ],
-)
-def test_what_is_not_there_is_refused_by_name(classes, where, said):
-    with pytest.raises(ConfigError) as refused:
-        campaign.plan(classes, where, 10)
-    assert said in str(refused.value)

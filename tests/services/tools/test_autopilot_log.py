@@ -156,17 +156,17 @@ def test_a_log_has_the_motion_of_the_drive_its_thrusts_and_when_it_was_armed(kin
 def test_the_vehicle_that_made_a_log_is_found(kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log, wrong = tmp_path / kind, tmp_path / "wrong.toml"
     KINDS[kind](log)
-    surge, sway = BOAT.surge, BOAT.sway
-    masses = {"surge.mass_kg": surge.mass_kg, "sway.mass_kg": sway.mass_kg, "yaw.inertia_kgm2": BOAT.yaw.inertia_kgm2}
-    wrong.write_text(to_toml(changed(BOAT, {key: 1.4 * value for key, value in masses.items()})))
+    true = {"surge.mass_kg": BOAT.surge.mass_kg, "sway.mass_kg": BOAT.sway.mass_kg}
+    too_much = {key: 1.4 * value for key, value in (true | {"yaw.inertia_kgm2": BOAT.yaw.inertia_kgm2}).items()}
+    wrong.write_text(to_toml(changed(BOAT, too_much)))
     assert run(["vehicle", "identify", str(log), "--vehicle", str(wrong), "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
     assert report["input"] == "pwm"
     assert report["left_out_s"] == pytest.approx(2.0, abs=0.5)  # disarmed
     found = {one["name"]: one for one in report["found"]}
-    for name, true in (("mass_surge", surge.mass_kg), ("mass_sway", sway.mass_kg)):
+    for name, value in zip(("mass_surge", "mass_sway"), true.values(), strict=True):
         assert found[name]["excited"]
-        assert found[name]["value"] == pytest.approx(true, rel=0.05)
+        assert found[name]["value"] == pytest.approx(value, rel=0.05)
     assert max(report["residual_sd"][:2]) < 0.007  # an initial state that stays behind in a local minimum leaves 0.01
 
 

@@ -25,16 +25,6 @@ from services.supervisor.jit_cache import MARK
 from services.tools import lockstep_run
 from sim.evaluation.summary import Summary
 
-CHILD = """
-import sys
-from pathlib import Path
-from services.run import folder
-from services.tools import lockstep_run
-from services.run.run_config import Override, resolve
-situation = resolve("descent", [Override("test", ["run.duration_s=3", "run.compute_delay_s=0.4"])])
-lockstep_run.run(situation, folder.make("descent", situation.files, out=Path(sys.argv[1])))
-"""
-
 
 def run_config(*settings: str) -> RunConfig:
     return resolve("descent", [Override("test", settings)])
@@ -50,8 +40,9 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[RunConfig, RunFo
 
 def test_a_process_with_another_hash_seed_and_folder_writes_the_same_bytes(tmp_path: Path) -> None:
     here, out = run_config("run.duration_s=3", "run.compute_delay_s=0.4"), "another/much/longer/name"
-    env = os.environ | {"PYTHONHASHSEED": "4242"}
-    subprocess.run([sys.executable, "-P", "-c", CHILD, out], cwd=tmp_path, env=env, check=True, timeout=200)
+    options = ("--lockstep", "--duration-s", "3", "--compute-delay-s", "0.4", "--out", out)
+    command, env = [sys.executable, "-P", "-m", "services.cli", "sim", "descent", *options], os.environ.copy()
+    subprocess.run(command, cwd=tmp_path, env=env | {"PYTHONHASHSEED": "4242"}, check=True, timeout=200)
     lockstep_run.run(here, folder.make("descent", here.files, out=tmp_path / "short"))
     assert (tmp_path / "short" / "run.mcap").read_bytes() == (tmp_path / out / "run.mcap").read_bytes()
 

@@ -14,7 +14,6 @@ pytest.importorskip("pymavlink", reason="not installed: pip install pymavlink (e
 from services.edges.mavlink.download import MAX_ITEMS, Download, ListKind, ListRefused
 
 STEP_US, LIMIT_US = 100_000, 600_000_000
-Target = tuple[int, int]
 
 
 def item(seq: int, x: int, kind: int = 0) -> Any:
@@ -26,20 +25,12 @@ def count(number: int, kind: int = 0) -> Any:
     return SimpleNamespace(count=number, mission_type=kind)
 
 
-class Make:
-    """Encoder whose messages are tuples."""
-
-    @staticmethod
-    def mission_request_list_encode(_: int, __: int, kind: int) -> tuple[str, int, int]:
-        return "list", 0, kind
-
-    @staticmethod
-    def mission_request_int_encode(_: int, __: int, seq: int, kind: int) -> tuple[str, int, int]:
-        return "item", seq, kind
-
-    @staticmethod
-    def mission_ack_encode(_: int, __: int, result: int, kind: int) -> tuple[str, int, int]:
-        return "ack", result, kind
+MAKE = SimpleNamespace(
+    mission_request_list_encode=lambda *of: ("list", 0, of[2]),
+    mission_request_int_encode=lambda *of: ("item", *of[2:]),
+    mission_ack_encode=lambda *of: ("ack", *of[2:]),
+)
+"""Encoder whose messages are tuples."""
 
 
 class ArduPilot:
@@ -84,7 +75,7 @@ def test_with_losses_and_in_any_order_the_newest_list_comes_whole(block: int) ->
                 known.append(tuple(lists[len(known)]))
                 autopilot.begin(list(known[-1]))
             autopilot.advance()
-            request = download.request(Make, (1, 1), now_us)
+            request = download.request(MAKE, (1, 1), now_us)
             if request is not None and rng.random() >= 0.3:
                 answer = autopilot.answer(request)
                 if answer is not None and rng.random() >= 0.3:
@@ -106,20 +97,20 @@ def receive(download: Download, numbers: list[int], now_us: int) -> bool:
     """Pass a list to the download, as answers to its requests. Return True if it is another list."""
     another = download.count(count(len(numbers)), now_us)
     for seq, x in enumerate(numbers):
-        assert download.request(Make, (1, 1), now_us) == ("item", seq, 0)
+        assert download.request(MAKE, (1, 1), now_us) == ("item", seq, 0)
         another = download.item(item(seq, x), now_us)
     if another or numbers:
-        assert download.request(Make, (1, 1), now_us) == ("ack", 0, 0)
+        assert download.request(MAKE, (1, 1), now_us) == ("ack", 0, 0)
     return another
 
 
 def test_a_list_counts_once_it_has_come_twice_and_the_same_list_is_no_other() -> None:
     download = Download(ListKind.MISSION)
-    assert download.request(Make, (1, 1), 0) == ("list", 0, 0)
+    assert download.request(MAKE, (1, 1), 0) == ("list", 0, 0)
     assert not receive(download, [1, 2], 0)
     assert download.items == ()
-    assert download.request(Make, (1, 1), 1_400_000) is None
-    assert download.request(Make, (1, 1), 1_500_000) == ("list", 0, 0)
+    assert download.request(MAKE, (1, 1), 1_400_000) is None
+    assert download.request(MAKE, (1, 1), 1_500_000) == ("list", 0, 0)
     assert receive(download, [1, 2], 1_500_000)
     assert not receive(download, [1, 2], 12_000_000)
     assert not receive(download, [1, 3], 23_000_000)  # half of another list, perhaps
@@ -127,7 +118,7 @@ def test_a_list_counts_once_it_has_come_twice_and_the_same_list_is_no_other() ->
     assert [one.x for one in download.items] == [1, 2]
     assert receive(download, [4, 3], 27_000_000)
     download.begin_again(30_000_000)
-    assert download.request(Make, (1, 1), 30_000_000) == ("list", 0, 0)
+    assert download.request(MAKE, (1, 1), 30_000_000) == ("list", 0, 0)
     assert not receive(download, [4, 3], 30_000_000)
     assert receive(download, [4, 3], 32_000_000)
 
@@ -145,11 +136,11 @@ def test_a_count_during_a_download_begins_it_anew() -> None:
 def test_a_request_is_sent_five_times_every_1_5_s_and_then_again_after_ten_seconds() -> None:
     download = Download(ListKind.FENCE)
     download.count(count(3, 1), 0)
-    sent = [k for k in range(200) if download.request(Make, (1, 1), 100_000 * k) == ("item", 0, 1)]
+    sent = [k for k in range(200) if download.request(MAKE, (1, 1), 100_000 * k) == ("item", 0, 1)]
     assert sent == [0, 15, 30, 45, 60]
-    assert download.request(Make, (1, 1), 17_600_000) is None  # the time began with the end of the last try, at 7.5 s
+    assert download.request(MAKE, (1, 1), 17_600_000) is None  # the time began with the end of the last try, at 7.5 s
     download = Download(ListKind.FENCE)
-    sent = [k for k in range(200) if download.request(Make, (1, 1), 100_000 * k) == ("list", 0, 1)]
+    sent = [k for k in range(200) if download.request(MAKE, (1, 1), 100_000 * k) == ("list", 0, 1)]
     assert sent == [0, 15, 30, 45, 60, 175, 190]
 
 
@@ -159,7 +150,7 @@ def test_other_kinds_of_lists_and_items_that_were_not_asked_for_do_not_count() -
     download.count(count(2), 0)
     for other in (item(1, 1), item(0, 1, kind=1)):
         download.item(other, 0)
-    assert download.request(Make, (1, 1), 0) == ("item", 0, 0)
+    assert download.request(MAKE, (1, 1), 0) == ("item", 0, 0)
     with pytest.raises(ListRefused, match=f"mission: {MAX_ITEMS + 1} items"):
         download.count(count(MAX_ITEMS + 1), 0)
 
@@ -169,7 +160,7 @@ def test_a_refusal_ends_the_download_and_the_list_is_asked_for_again_soon() -> N
     download.count(count(2), 0)
     download.item(item(0, 1), 0)
     download.refusal(SimpleNamespace(type=14, mission_type=1), 0)  # of another list
-    assert download.request(Make, (1, 1), 0) == ("item", 1, 0)
+    assert download.request(MAKE, (1, 1), 0) == ("item", 1, 0)
     download.refusal(SimpleNamespace(type=14, mission_type=0), 0)
-    assert download.request(Make, (1, 1), 1_400_000) is None
-    assert download.request(Make, (1, 1), 1_500_000) == ("list", 0, 0)
+    assert download.request(MAKE, (1, 1), 1_400_000) is None
+    assert download.request(MAKE, (1, 1), 1_500_000) == ("list", 0, 0)

@@ -121,14 +121,6 @@ def test_a_node_by_another_sdk_lists_echoes_publishes_and_calls(free_port: int, 
     assert any(line.get("thrust") for line in said)
 
 
-def test_the_page_has_each_row_of_the_table() -> None:
-    page = (Path(__file__).parents[4] / "docs" / "ros2.md").read_text()
-    for row in TABLE:
-        direction = {IN: "in", OUT: "out", SERVICE: "service"}[row.direction]
-        kind = row.ros_type.replace("/msg/", "/").replace("/srv/", "/")
-        assert f"| `{row.name}` | `{row.topic}` | `{kind}` | {direction} | {row.meaning} |" in page
-
-
 def test_a_node_of_a_domain_may_do_everything_there_and_nothing_elsewhere() -> None:
     control = access_control("auv/7", ["ros-5"])
     (rule,) = (rule for rule in control["rules"] if rule["id"].startswith("ros-5"))

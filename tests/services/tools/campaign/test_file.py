@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -11,7 +12,7 @@ from ltv_mpc.errors import ConfigError
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.tools.campaign.campaign import plan
 from services.tools.campaign.file import Point, load, points
-from services.tools.campaign.trial import run_config
+from services.tools.campaign.trial import Trial, run_config
 
 GRID = """
 title = "t"
@@ -87,20 +88,16 @@ def test_every_point_is_crossed_with_every_combination_of_the_crossed_lists(tmp_
 def test_a_factor_scales_what_a_point_has_otherwise_by_its_power(tmp_path: Path) -> None:
     text = CROSSED.replace("[cross]", "[set]\n'vehicle.thruster.port.arm_m' = 0.3\nvehicle = 'surface'\n[cross]")
     made = plan(load(written(tmp_path, text)), "test")
-    point: Point = {"size": 2.0, "water.sd_mps": 0.05}
-    assert made.factors(point) == {"vehicle.dry_mass_kg": 8.0, "vehicle.thruster.port.arm_m": 2.0}
-    settings = {**made.settings(point), "reference.descent_rate_mps": 0.1}
-    assert "size" not in settings
-    here = run_config(made.base, settings, made.factors(point), 0)
+    point: Point = {"size": 2.0, "water.sd_mps": 0.05, "reference.descent_rate_mps": 0.1}
+    assert made.campaign.factors(point) == {"vehicle.dry_mass_kg": 8.0, "vehicle.thruster.port.arm_m": 2.0}
+    here = run_config(made.base, made.campaign, Trial(0, 3, point))
     assert here.vehicle.dry_mass_kg == 8.0 * Vehicle.load("surface").dry_mass_kg
     assert here.vehicle.thruster.port.arm_m == 0.6
-    assert here.scenario.water.sd_mps == 0.05
+    assert (here.scenario.water.sd_mps, here.scenario.run.seed) == (0.05, 3)
     assert here.reference.descent_rate_mps == 0.1
-    of_water = run_config(made.base, settings, {"water.sd_mps": 2.0}, 0)
-    assert of_water.scenario.water.sd_mps == 0.1
-    trial = next(made.trials())
-    assert set(trial.varied) == set(made.campaign.varied)
-    assert trial.factors["vehicle.dry_mass_kg"] == pytest.approx(float(trial.varied["size"]) ** 3)
+    of_water = msgspec.structs.replace(made.campaign, scale={"size": {"water.sd_mps": 1.0}})
+    assert run_config(made.base, of_water, Trial(0, 0, point)).scenario.water.sd_mps == 0.1
+    assert set(next(made.trials()).point) == set(made.campaign.varied)
 
 
 def test_a_drawn_design_is_that_of_its_seed(tmp_path: Path) -> None:

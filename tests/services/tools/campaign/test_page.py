@@ -35,7 +35,7 @@ def made_up(folder: Path) -> list[Row]:
     rows = []
     for number, point in enumerate(points(campaign)):
         for seed in range(5):
-            row = row_of(Trial(number, seed, point, {}, point), "v")
+            row = row_of(Trial(number, seed, point), "v")
             value = point["controller.horizon_s"] / 10 + (point["sensors"] == "realistic") + hard[seed]
             rows.append(row | {"true_error_m.mean": value})
     rows[7] |= {"true_error_m.mean": None, "failed": "no <such> thing"}  # point 1, seed 2
