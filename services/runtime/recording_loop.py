@@ -31,7 +31,6 @@ from services.recording.segments import SegmentWriter
 from services.runtime.clock import monotonic_us
 from services.runtime.clock_sync import STAMPED_INPUTS
 from services.runtime.console import counted
-from services.runtime.deadlines import DeadlineQueue
 from services.runtime.lifeline import LIFELINE
 from services.runtime.node_status import NodeStatusReporter, WaitingFor
 from services.runtime.publication_time import PublicationTime
@@ -98,13 +97,13 @@ class RecordingLoop:
             )
             session.subscribe("**", None, self.mailbox)
             session.serve(HISTORY, self._answer)
-            deadlines = DeadlineQueue()
-            deadlines.add(lambda: LIFELINE.due_us, LIFELINE.beat)
-            deadlines.add(lambda: self._status.due_us, self._status.publish)
             while not stop():
                 now_us = monotonic_us()
-                deadlines.run_due(now_us)
-                self._gather((deadlines.next_us() - now_us) / 1e6)
+                LIFELINE.beat(now_us)
+                if now_us >= self._status.due_us:
+                    self._status.publish(now_us)
+                dues_us = self._status.due_us, LIFELINE.due_us
+                self._gather((min(due_us for due_us in dues_us if due_us is not None) - now_us) / 1e6)
                 self._writer.flush_if_due()
                 self._settle()
             self._finish()

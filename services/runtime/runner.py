@@ -3,12 +3,12 @@
     bus -> Mailbox -> InputReceiver (validation, rejection) -> NodeIO (inbox) -> node.step -> NodeIO (outbox) -> bus
 
     while steps remain and no stop is requested:
-        wait    take inputs from the mailbox and run the deadlines, until the next step is due
+        wait    take inputs from the mailbox and do the periodic duties, until the next step is due
         step    node.step(t_ns, inbox) -> outputs: published at once, after the records of the steps
 
 A step is due by the node's schedule, by an input that causes it, or by a command. ``input_receiver.py`` validates
-inputs, ``node_io.py`` holds inbox, records and outbox, ``process_time.py`` the clock and the schedule, ``deadlines.py``
-the periodic duties (heartbeat, clock, status). Every input reaches the node through one inbox, in order of arrival.
+inputs, ``node_io.py`` holds inbox, records and outbox, ``process_time.py`` the clock and the schedule. The periodic
+duties are heartbeat, clock, settings and status. Every input reaches the node through one inbox, in order of arrival.
 
 If the inputs stop, nothing changes here: the controller's cycles continue by the clock, and the controller itself
 decides what to do when its estimates stop (``ltv_mpc/safety/health.py``). If the estimator process has died or hangs,
@@ -47,7 +47,6 @@ from services.bus.session import Session, open_session
 from services.bus.topics import BY_TYPE, NAMED, expression
 from services.runtime.clock import monotonic_us
 from services.runtime.console import Console
-from services.runtime.deadlines import DeadlineQueue
 from services.runtime.input_receiver import InputReceiver
 from services.runtime.lifeline import LIFELINE
 from services.runtime.node_io import NodeIO, SavedState
@@ -119,7 +118,11 @@ class Runner:
         self._time = ProcessTime(node, clock, epoch=new_epoch(), publish=lambda message: self._io.publish(message))
         self._navigated = node if isinstance(node, NavigatedNode) else None
         self._source: Source | None = None  # of the estimates in use
-        self._deadlines = DeadlineQueue()
+        self._duties: list[tuple[Callable[[], int | None], Callable[[int], None]]] = []
+        """Periodic duties: when each is due (monotonic µs; None: never), and what does it and sets its next time.
+
+        An event can bring a duty forward: a change of the clock is announced at once.
+        """
         # From the connection on:
         self._io: NodeIO
         self._status: NodeStatusReporter
@@ -194,7 +197,7 @@ class Runner:
         time.start_schedule()
         self._io = NodeIO(node.name, outbox, saved, self._settings)
         self._receiver = InputReceiver(node, self._io, time, self._status, self._report, validator)
-        self._add_deadlines(validator)
+        self._add_duties(validator)
 
     def _run(self) -> None:
         """Step until a stop is requested or the schedule ends; then take the inputs that are still on their way."""
@@ -207,31 +210,34 @@ class Runner:
 
     # --- waiting -----------------------------------------------------------------------------------------------------
 
-    def _add_deadlines(self, validator: MessageValidator) -> None:
-        """Add the periodic duties of the process to the deadline queue."""
+    def _add_duties(self, validator: MessageValidator) -> None:
+        """Add the periodic duties of the process, in the order in which they are done if several are due."""
         master, report = self._time.master, self._report
-        self._deadlines.add(lambda: LIFELINE.due_us, LIFELINE.beat)
+        self._duties.append((lambda: LIFELINE.due_us, LIFELINE.beat))
         if master is not None:
-            self._deadlines.add(lambda: master.due_us, master.run_due)
+            self._duties.append((lambda: master.due_us, master.run_due))
         # Settings come before the first status and the first step.
-        self._deadlines.add(lambda: self._io.settings_due_us, self._io.publish_settings)
-        self._deadlines.add(lambda: self._status.due_us, self._publish_status)
+        self._duties.append((lambda: self._io.settings_due_us, self._io.publish_settings))
+        self._duties.append((lambda: self._status.due_us, self._publish_status))
         if report is not None:
 
             def publish(now_us: int) -> None:
                 time = self._time
                 self._io.publish(report.status(now_us, time.now_ns(now_us), validator, time.sync.offset(now_us)))
 
-            self._deadlines.add(lambda: report.due_us, publish)
+            self._duties.append((lambda: report.due_us, publish))
 
     def _wait(self, due_us: Callable[[], int | None]) -> bool:
         """Take inputs until ``due_us`` has passed and the mailbox is empty. Return False if a stop is requested."""
         entered_us = monotonic_us()
         while not self.stop():
             now_us = monotonic_us()
-            self._deadlines.run_due(now_us)
+            for duty_due_us, run in self._duties:
+                if (at_us := duty_due_us()) is not None and now_us >= at_us:
+                    run(now_us)
             due = due_us()
-            taken = self._take((self._deadlines.next_us(due) - now_us) / 1e6)
+            dues = [due, *(duty_due_us() for duty_due_us, _ in self._duties)]
+            taken = self._take((min(at_us for at_us in dues if at_us is not None) - now_us) / 1e6)
             if due is None:
                 continue
             if monotonic_us() >= (max(due, entered_us) + MAX_DRAIN_US if taken else due):

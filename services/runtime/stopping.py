@@ -29,6 +29,7 @@ class StopRequest:
         self.requested = False
         self.interrupted = False
         self.signals = 0
+        """Number of signals, hang-ups left out: a terminal that closes causes two, the second by the next text."""
         self._wakeups: queue.SimpleQueue[None] = queue.SimpleQueue()
         self._wake: Callable[[], None] = lambda: None
 
@@ -54,7 +55,7 @@ class StopRequest:
     def receive(self, number: int, _frame: FrameType | None) -> None:
         """Request a stop, as a signal handler."""
         self.interrupted = number == signal.SIGINT
-        self.signals += 1
+        self.signals += number != signal.SIGHUP
         self.request()
 
     def wait(self, timeout_s: float | None = None) -> bool:

@@ -112,6 +112,8 @@ class Supervisor:
         self._started_s = time.monotonic()
         self._cleanup: OrphanCleanup
         self._request: StopRequest
+        self._signals: int
+        """Signals up to the one that has ended the run."""
         self.children: ChildProcesses
         self.failures: FailureHandler
         self._monitor: BusMonitor | None = None  # None before the connection to the bus
@@ -124,11 +126,14 @@ class Supervisor:
             return self._summarised(outcome) if self._folder.recording.exists() else outcome
 
     def _summarised(self, outcome: Outcome) -> Outcome:
-        """Write the summary and show the progress of a long one. A signal, after Ctrl-C a second one, skips it."""
-        signals, begun_s = self._request.signals, time.monotonic()
+        """Write the summary and show the progress of a long one. A signal skips it.
+
+        After Ctrl-C a second one does, also while the processes are still stopping.
+        """
+        begun_s, handled = time.monotonic(), self._signals if outcome.why == STOPPED else self._request.signals
 
         def progress(share: float) -> None:
-            if self._request.signals > signals:
+            if self._request.signals > handled:
                 raise Stopped
             if time.monotonic() - begun_s > QUICK_S:
                 self._screen.wait("summary", share)
@@ -199,6 +204,7 @@ class Supervisor:
                 in_order = failure.in_order
                 return self._ended_early(failure.why, FAILED, failure.last_lines)
             except Stopped:
+                self._signals = self._request.signals
                 return self._ended_early(STOPPED, self._stop_code)
             finally:
                 killed = self.children.stop(in_order=in_order, close_session=sessions.close)

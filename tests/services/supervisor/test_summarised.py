@@ -12,6 +12,7 @@ import pytest
 
 from services.run import folder
 from services.run.run_config import resolve
+from services.run.summary import STOPPED
 from services.runtime.stopping import StopRequest
 from services.supervisor import supervisor
 from services.supervisor.supervisor import Outcome, Supervisor
@@ -39,16 +40,19 @@ def ended(path: Path) -> tuple[Supervisor, Any]:
     request.receive(signal.SIGINT, None)
     screen: Any = Screen(request)
     made: Any = Supervisor(run_config, folder.make("x", run_config.files, out=path), screen)
-    made._request, made.failures = request, SimpleNamespace(restarts=0)
-    return made, Outcome(completed=False, exit_code=130, why="stopped early")
+    made._request, made._signals, made.failures = request, request.signals, SimpleNamespace(restarts=0)
+    return made, Outcome(completed=False, exit_code=130, why=STOPPED)
 
 
-def test_a_second_signal_skips_the_summary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(supervisor, "QUICK_S", -1.0)
+@pytest.mark.parametrize("stopping", [False, True], ids=["in the summary", "while processes stop"])
+def test_a_second_signal_skips_the_summary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stopping: bool) -> None:
+    monkeypatch.setattr(supervisor, "QUICK_S", 600.0 if stopping else -1.0)
     made, outcome = ended(tmp_path / "run")
+    if stopping:
+        made._request.receive(signal.SIGINT, None)
     write_depths(tmp_path / "run" / "run.mcap", range(2000))
     outcome = made._summarised(outcome)
-    assert (outcome.summary, outcome.exit_code, outcome.why) == (None, 130, "stopped early")
+    assert (outcome.summary, outcome.exit_code, outcome.why) == (None, 130, STOPPED)
     assert not (tmp_path / "run" / "summary.json").exists()
 
 
