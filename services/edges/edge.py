@@ -189,9 +189,9 @@ class Edge(abc.ABC):
 
 
 class LossCounter:
-    """Count of the lost frames of each sender, from the numbers that it gives to its frames, which increase.
+    """Count of the lost frames of each sender, from the numbers that it gives to its frames.
 
-    A large step is a restart of the sender.
+    A frame that arrives late was counted as lost and is no longer. A large step is a restart of the sender.
     """
 
     def __init__(self, modulus: int = 1 << 63) -> None:
@@ -199,19 +199,29 @@ class LossCounter:
         self.lost = 0
         self._modulus = modulus
         self._limit = min(modulus // 2, 1000)  # largest step that counts as loss
-        self._newest: dict[object, int] = {}
+        self._newest: dict[object, int] = {}  # counted on where the numbers begin again
+        self._missing: dict[object, deque[int]] = {}
 
     def add(self, sender: object, number: int) -> bool:
-        """Add a received frame. Return False if its number is not newer than those before it."""
+        """Add a received frame. Return False if it is a duplicate."""
         if sender not in self._newest:
             if len(self._newest) < MAX_REASONS:  # more are senders that nobody expects
-                self._newest[sender] = number
+                self._newest[sender], self._missing[sender] = number, deque(maxlen=self._limit // 2)
             return True
+        newest, missing = self._newest[sender], self._missing[sender]
         half = self._modulus // 2
-        step = (number - self._newest[sender] + half) % self._modulus - half
-        if abs(step) <= self._limit:
-            if step <= 0:
-                return False
+        step = (number - newest + half) % self._modulus - half
+        at = newest + step
+        if abs(step) > self._limit:
+            missing.clear()
+        elif step > 0:
+            missing.extend(range(newest + 1, at))
             self.lost += step - 1
-        self._newest[sender] = number
+        else:
+            if at not in missing:
+                return False
+            missing.remove(at)
+            self.lost -= 1
+            return True
+        self._newest[sender] = at
         return True

@@ -76,7 +76,7 @@ class Ros2Edge(Edge):
         if frame.attachment:
             attachment = Attachment.unpack(frame.attachment)
             if row.direction is not SERVICE and not self._numbers.add((name, attachment.gid), attachment.sequence):
-                raise Refused("duplicate, or late")
+                raise Refused("duplicate")
             self.lost = self._numbers.lost
         if row.direction is SERVICE:
             yield self._command(name, request, frame)

@@ -209,7 +209,7 @@ def test_numbers_of_publishers_show_what_was_lost_and_what_comes_twice() -> None
     edge = edge_with()
     for number in (1, 2, 5, 5):
         on_odometry(edge, attachment=Attachment(number, 0, bytes(16)).pack())
-    assert (edge.lost, edge.accepted, edge.refused, edge.reason) == (2, 3, 1, "duplicate, or late")
+    assert (edge.lost, edge.accepted, edge.refused, edge.reason) == (2, 3, 1, "duplicate")
     on_odometry(edge, attachment=b"short")
     assert edge.reason == "attachment: 5 bytes, must be 33"
 
