@@ -19,6 +19,7 @@ from ltv_mpc.safety.command_arbiter import ThrustOverride
 from ltv_mpc.safety.health import NOMINAL, HealthState
 from ltv_mpc.safety.plan_gate import PlanGate
 from tests.ltv_mpc.reports import report
+from tests.ltv_mpc.vehicles import changed
 
 PAPER = Vehicle.load("paper")
 BOAT = Vehicle.load("bluerobotics-boat")
@@ -190,6 +191,27 @@ def test_commands_that_differ_from_the_plan_are_noticed(wrong):
 
     degraded = degraded_s(Loop(delivered=delivered).run(9.0))
     assert 4.0 < degraded[0] <= 4.5
+
+
+@pytest.mark.parametrize(
+    ("before_N", "command_N", "agrees"),
+    [
+        (30.0, 25.5, True),  # within a twentieth of the larger limit
+        (30.0, 24.5, False),
+        (-20.0, 16.0, True),  # nine tenths of the slew, towards the plan
+        (-20.0, 10.0, False),  # three quarters
+        (60.0, 24.0, False),  # away from it
+    ],
+)
+def test_a_command_agrees_near_that_of_the_plan_or_while_it_goes_there(before_N, command_N, agrees):
+    check = ActuatorCheck(
+        changed(BOAT, {"thruster.port.min_N": -100.0, "thruster.port.slew_N_per_s": 400.0}), 300_000_000
+    )
+    plan = Controller(BOAT, POINT).plan(Estimate.at_rest())
+    check.sent(msgspec.structs.replace(plan, thrust_N=np.tile([30.0, 0.0, 0.0], (len(plan.t_ns), 1))))
+    for after_ns, thrust_N in ((950_000_000, before_N), (1_050_000_000, command_N)):  # at the first no plan is known
+        check.add(report(plan.t_ns[0] + after_ns, (thrust_N, 0.0, 0.0)))
+    assert check.disagrees is not agrees
 
 
 LEGAL = (
