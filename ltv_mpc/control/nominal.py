@@ -130,13 +130,17 @@ def any_motion(cycle: Cycle) -> Linearisation:
 
     Parameters
     ----------
-    cycle : has the constants.
+    cycle : has the constants, apart from what may be learned.
     """
     lin, rng = Linearisation.empty(len(cycle.target) - 1), np.random.default_rng(0)
     lin.C[:] = rng.normal(size=lin.C.shape)
     start, goal = rng.normal(size=len(cycle.start)), rng.normal(size=lin.U.shape)
+    known = cycle.constants
+    munk = coefficients(known.p)._replace(added_munk=0.5 * known.p[0])  # none may have been learned yet
+    cycle.constants = known._replace(p=np.array(munk))
     ramp_to(cycle.constants, start, goal, lin.C, lin.X, lin.U)
     cycle.linearise(lin)
+    cycle.constants = known
     return lin
 
 

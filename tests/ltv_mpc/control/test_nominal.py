@@ -10,7 +10,7 @@ import pytest
 from ltv_mpc import Vehicle
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.fence_clearance import NO_PATH, Scene, fence_cost
-from ltv_mpc.control.nominal import PREVIOUS_PLAN, STEERED_AHEAD, choose_nominal
+from ltv_mpc.control.nominal import PREVIOUS_PLAN, STEERED_AHEAD, any_motion, choose_nominal
 from ltv_mpc.control.ocp.cycle import Cycle
 from ltv_mpc.control.problem_data import Constants
 from ltv_mpc.control.resolution import settled
@@ -18,7 +18,9 @@ from ltv_mpc.geofence.allowed_path import NO_ZONES
 from ltv_mpc.geofence.fence import Fence
 from ltv_mpc.geofence.zones import pack_zones
 from ltv_mpc.messages import Array
+from ltv_mpc.vehicle.dynamics import coefficients
 from tests.ltv_mpc.geofence.shapes import disc
+from tests.ltv_mpc.vehicles import changed
 
 WEAK = Vehicle.load("weak-reverse")
 CONFIG = settled(ControllerConfig(), WEAK)
@@ -81,3 +83,17 @@ def test_a_guess_through_a_zone_does_not_replace_a_plan_through_it(in_the_way: b
     start = np.array([0.0, 6.0, 0.3, 0.0, -math.pi / 2, 0.0, *ahead, *ahead])
     kind = choose_nominal(cycle, start, np.tile(ahead, (N + 1, 1)), 0.0, was_clear=True)
     assert kind == expected
+
+
+def test_the_pattern_of_a_problem_is_that_of_the_vehicle_whatever_was_learned_before() -> None:
+    """Masses ahead and abeam that are equal have no Munk moment, until one is learned."""
+    even = changed(WEAK, {"sway.mass_kg": WEAK.surge.mass_kg})
+    patterns = []
+    for learned in (0.0, 20.0):
+        constants = Constants.of(even, CONFIG.weights, CONFIG.knots)
+        cycle = Cycle(constants._replace(p=np.array(even.coefficients()._replace(added_munk=learned))), scene())
+        full = cycle.full_problem(cycle.plain, any_motion(cycle))
+        patterns.append([np.asarray(values) != 0.0 for values in full])
+        assert coefficients(cycle.constants.p).added_munk == learned
+    for one, other in zip(*patterns, strict=True):
+        np.testing.assert_array_equal(one, other)
