@@ -173,7 +173,11 @@ def find(text: str) -> Path:
     if size is not None:
         return path
     if path.name == RECORDING and path.parent.is_dir():
-        raise ConfigError(source, "", f"there is no {RECORDING} in this folder: name the folder of a recorded run")
+        others = sorted(one.name for one in path.parent.glob("*") if one.suffix in (".mcap", ".db3"))
+        wanted = "name the folder of a recorded run"
+        if others:
+            wanted = f"name a file, it has {', '.join(others[:3])} (.db3: first `ros2 bag convert` to MCAP)"
+        raise ConfigError(source, "", f"there is no {RECORDING} in this folder: {wanted}")
     raise ConfigError(source, "", f"no such folder or file: a run's folder, its {RECORDING}, or {LATEST}")
 
 

@@ -106,13 +106,15 @@ def test_a_run_is_found_by_its_folder_its_recording_or_as_the_latest() -> None:
     ("text", "wrong"),
     [
         ("latest", "no run below .*runs: name the folder of a run"),
-        ("empty", r"RUN empty: there is no run\.mcap in this folder"),
+        ("empty", r"RUN empty: there is no run\.mcap in this folder: name the folder"),
+        ("bag", r"RUN bag: .*name a file, it has bag_0\.db3, bag_0\.mcap "),
         ("nowhere", "RUN nowhere: no such folder or file"),
         ("a\0b", "cannot be read|no such folder or file"),
     ],
 )
 def test_what_is_no_run_is_refused_with_what_would_be(text: str, wrong: str) -> None:
     Path("empty").mkdir()
+    folder.write_files(Path("bag"), dict.fromkeys(("bag_0.mcap", "bag_0.db3", "metadata.yaml"), ""))
     with pytest.raises(ConfigError, match=wrong):
         folder.find(text)
 
