@@ -44,16 +44,21 @@ def ended(path: Path) -> tuple[Supervisor, Any]:
     return made, Outcome(completed=False, exit_code=130, why=STOPPED)
 
 
-@pytest.mark.parametrize("stopping", [False, True], ids=["in the summary", "while processes stop"])
-def test_a_second_signal_skips_the_summary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stopping: bool) -> None:
-    monkeypatch.setattr(supervisor, "QUICK_S", 600.0 if stopping else -1.0)
+@pytest.mark.parametrize("while_stopping", [None, signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_second_signal_skips_the_summary(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, while_stopping: signal.Signals | None
+) -> None:
+    """It comes while the processes stop, or the summary is made. A terminal that closes hangs up twice: no skip."""
+    monkeypatch.setattr(supervisor, "QUICK_S", -1.0 if while_stopping is None else 600.0)
     made, outcome = ended(tmp_path / "run")
-    if stopping:
-        made._request.receive(signal.SIGINT, None)
+    if while_stopping is not None:
+        made._request.receive(while_stopping, None)
     write_depths(tmp_path / "run" / "run.mcap", range(2000))
     outcome = made._summarised(outcome)
-    assert (outcome.summary, outcome.exit_code, outcome.why) == (None, 130, STOPPED)
-    assert not (tmp_path / "run" / "summary.json").exists()
+    skipped = while_stopping is not signal.SIGHUP
+    assert (outcome.summary is None) is skipped
+    assert (outcome.exit_code, outcome.why) == (1 if while_stopping is signal.SIGTERM else 130, STOPPED)
+    assert (tmp_path / "run" / "summary.json").exists() is not skipped
 
 
 def test_a_fifo_in_place_of_the_recording_is_not_waited_for(tmp_path: Path) -> None:
