@@ -176,7 +176,7 @@ def find(text: str) -> Path:
         others = sorted(one.name for one in path.parent.glob("*") if one.suffix in (".mcap", ".db3"))
         wanted = "name the folder of a recorded run"
         if others:
-            wanted = f"name a file, it has {', '.join(others[:3])} (.db3: first `ros2 bag convert` to MCAP)"
+            wanted = f"it has {', '.join(others[:3])}; name an .mcap file, of a .db3 `ros2 bag convert` makes one"
         raise ConfigError(source, "", f"there is no {RECORDING} in this folder: {wanted}")
     raise ConfigError(source, "", f"no such folder or file: a run's folder, its {RECORDING}, or {LATEST}")
 
