@@ -344,7 +344,9 @@ class DisturbanceObserver:
         b = self.bias_mps
         if self._trusts(estimate):
             return _significance(float(b @ np.linalg.solve(self.covariance, b)))
-        return 1.0 if estimate.current else _significance(float(b @ b) / (FELT_SHARE * self._heading_free_mps) ** 2)
+        if estimate.current is not None:
+            return 1.0
+        return _significance(float(b @ b) / (FELT_SHARE * self._heading_free_mps) ** 2)
 
     def _exchange_bias(self) -> None:
         """Go over to the bias of a profile from that of still water, or back; it is uncertain again."""

@@ -24,7 +24,7 @@ import numpy as np
 from ltv_mpc.control import shooting_grid
 from ltv_mpc.control.fence_clearance import fence_cost, is_near
 from ltv_mpc.control.initial_guess import steering_guess
-from ltv_mpc.control.linearisation import Linearisation, propagate
+from ltv_mpc.control.linearisation import Linearisation, linearise_along, propagate
 from ltv_mpc.control.ocp.assembly import cost
 from ltv_mpc.control.ocp.cycle import UNKNOWN, Cycle, Score
 from ltv_mpc.control.ocp.limits import clip_to_limits
@@ -135,12 +135,10 @@ def any_motion(cycle: Cycle) -> Linearisation:
     lin, rng = Linearisation.empty(len(cycle.target) - 1), np.random.default_rng(0)
     lin.C[:] = rng.normal(size=lin.C.shape)
     start, goal = rng.normal(size=len(cycle.start)), rng.normal(size=lin.U.shape)
-    known = cycle.constants
-    munk = coefficients(known.p)._replace(added_munk=0.5 * known.p[0])  # none may have been learned yet
-    cycle.constants = known._replace(p=np.array(munk))
-    ramp_to(cycle.constants, start, goal, lin.C, lin.X, lin.U)
-    cycle.linearise(lin)
-    cycle.constants = known
+    p = coefficients(cycle.constants.p)
+    learned = cycle.constants._replace(p=np.array(p._replace(added_munk=0.5 * p.mass_surge)))  # none may be learned yet
+    ramp_to(learned, start, goal, lin.C, lin.X, lin.U)
+    linearise_along(lin, learned.t, STAGE_S, learned.p)
     return lin
 
 

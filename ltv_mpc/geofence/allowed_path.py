@@ -261,8 +261,9 @@ class Routes:
         self._at_margins: Router | None = None
         self._zones, self._need = NO_ZONES, np.empty(0)
         self._standing = np.empty((0, 3))
-        # Last path, its table in small steps, which of these are clear of the zones, and a tree of their places.
-        self._divided: tuple[Schedule, Array, npt.NDArray[np.bool_], Any] | None = None
+        # Last path, its table in small steps, and which of these are clear of the zones.
+        self._divided: tuple[Schedule, Array, npt.NDArray[np.bool_]] | None = None
+        self._places: Any = None  # tree of the places of these steps; None before a standing obstacle
 
     def set_zones(self, zones: Zones, need: Array) -> None:
         """Lead round other zones.
@@ -310,15 +311,17 @@ class Routes:
         if self._at_margins is None:
             return schedule, 0.0
         if self._divided is None or self._divided[0] is not schedule:
-            from scipy.spatial import KDTree  # for fences and standing obstacles alone
-
             table = divided(schedule.table)
-            points = _points(table)
-            self._divided = schedule, table, are_clear(self._zones, self._need, points), KDTree(points)
-        _, table, clear, places = self._divided
-        clear = clear.copy()
-        for *place, need_m in self._standing.tolist():  # a report looks at the path near them alone
-            clear[places.query_ball_point(place, need_m)] = False
+            self._divided, self._places = (schedule, table, are_clear(self._zones, self._need, _points(table))), None
+        _, table, clear = self._divided
+        if len(self._standing):
+            if self._places is None:
+                from scipy.spatial import KDTree  # for standing obstacles alone
+
+                self._places = KDTree(_points(table))
+            clear = clear.copy()
+            for *place, need_m in self._standing.tolist():  # a report looks at the path near them alone
+                clear[self._places.query_ball_point(place, need_m)] = False
         return allowed_path(schedule, self._at_margins, table, clear)
 
     def _restart(self) -> None:

@@ -29,10 +29,6 @@ class PlanFollower:
     def __init__(self) -> None:
         self._plans: deque[Plan] = deque(maxlen=8)  # in force, then those that begin later
         self._period = InputAge()  # of the plans
-        self.authority = Authority.DISARMED
-        """Source of the commands of the newest plan."""
-        self.cycle_t_ns = 0
-        """Start of the cycle of the newest plan; 0 before the first."""
         self.identity = 0, -1
         """Epoch and sequence of the newest plan; 0 and -1 before the first."""
         self.received_t_ns = 0
@@ -50,7 +46,6 @@ class PlanFollower:
         while self._plans and self._plans[-1].t_ns[0] >= begins_ns:
             self._plans.pop()
         self._plans.append(plan)
-        self.authority, self.cycle_t_ns = plan.authority, plan.cycle_t_ns
         self.identity, self.received_t_ns = identity if t_ns is not None else (0, -1), t_ns or 0
         self.is_late = self.received_t_ns > begins_ns
         self.late += self.is_late
@@ -78,6 +73,16 @@ class PlanFollower:
     def has_plan(self) -> bool:
         """True after the first plan."""
         return bool(self._plans)
+
+    @property
+    def cycle_t_ns(self) -> int:
+        """Start of the cycle of the newest plan; 0 before the first."""
+        return self._plans[-1].cycle_t_ns if self._plans else 0
+
+    @property
+    def authority(self) -> Authority:
+        """Source of the commands of the newest plan."""
+        return self._plans[-1].authority if self._plans else Authority.DISARMED
 
     def _end_ns(self, plan: Plan) -> int:
         return plan_end_ns(plan.t_ns, self._period.median_ns, PLAN_TIMEOUT_S)

@@ -112,8 +112,8 @@ class Supervisor:
         self._started_s = time.monotonic()
         self._cleanup: OrphanCleanup
         self._request: StopRequest
-        self._signals: int
-        """Signals up to the one that has ended the run."""
+        self._signals_at_stop: int | None = None
+        """Number of signals up to the one that has ended the run; None if no signal has."""
         self.children: ChildProcesses
         self.failures: FailureHandler
         self._monitor: BusMonitor | None = None  # None before the connection to the bus
@@ -130,7 +130,8 @@ class Supervisor:
 
         After Ctrl-C a second one does, also while the processes are still stopping.
         """
-        begun_s, handled = time.monotonic(), self._signals if outcome.why == STOPPED else self._request.signals
+        begun_s = time.monotonic()
+        handled = self._request.signals if self._signals_at_stop is None else self._signals_at_stop
 
         def progress(share: float) -> None:
             if self._request.signals > handled:
@@ -204,7 +205,7 @@ class Supervisor:
                 in_order = failure.in_order
                 return self._ended_early(failure.why, FAILED, failure.last_lines)
             except Stopped:
-                self._signals = self._request.signals
+                self._signals_at_stop = self._request.signals
                 return self._ended_early(STOPPED, self._stop_code)
             finally:
                 killed = self.children.stop(in_order=in_order, close_session=sessions.close)

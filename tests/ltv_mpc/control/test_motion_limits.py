@@ -10,6 +10,7 @@ import pytest
 
 from ltv_mpc.control.config import ControllerConfig, MotionLimits
 from ltv_mpc.control.controller import Controller
+from ltv_mpc.control.lateral import RESTING_MPS
 from ltv_mpc.control.ocp.assembly import cost
 from ltv_mpc.control.ocp.limits import MIN_PENALTY
 from ltv_mpc.control.ocp.problem import Problem
@@ -138,11 +139,12 @@ def test_a_target_on_a_path_is_no_faster_than_they_allow() -> None:
 def test_of_a_target_out_of_reach_only_the_direction_counts() -> None:
     def thrust_N(far: float, limits: MotionLimits) -> Array:
         controller = Controller(PAPER, Point(north_m=3.0 * far, east_m=4.0 * far), ControllerConfig(limits=limits))
-        plan = controller.plan(Estimate.at_rest())
+        sinks = msgspec.structs.replace(Estimate.at_rest(), velocity_down_mps=2.0 * RESTING_MPS)  # no disc to rest in
+        plan = controller.plan(sinks)
         assert plan.reference_m == (3.0 * far, 4.0 * far)
         return plan.thrust_N
 
-    np.testing.assert_allclose(thrust_N(20.0, BOTH), thrust_N(900.0, BOTH), atol=1e-7)  # rounding of the target
+    np.testing.assert_allclose(thrust_N(20.0, BOTH), thrust_N(900.0, BOTH), atol=1e-9)
     assert np.abs(thrust_N(20.0, MotionLimits()) - thrust_N(900.0, MotionLimits())).max() > 1.0
 
 

@@ -75,6 +75,9 @@ def test_a_fence_comes_back_from_its_file(tmp_path: Path, suffix: str) -> None:
     assert (read == fence) == (suffix == ".toml")
 
 
+CROSSES = r'keep_in\[0\] "basin": the ring crosses itself: the edge from vertices\[2\] to vertices\[3\]'
+
+
 @pytest.mark.parametrize(
     ("right", "wrong", "message"),
     [
@@ -87,7 +90,7 @@ def test_a_fence_comes_back_from_its_file(tmp_path: Path, suffix: str) -> None:
         ("latitude_deg = 60.3909", "latitude_deg = 61.0", r"keep_out\[0\]: vertices\[2\]: .*50 km from the origin"),
         ("[origin]\nlatitude_deg = 60.39\nlongitude_deg = 5.32\n", "", r"need an \[origin\]"),
         ("north_m = 0.0, east_m = 0.0 ", "north_m = 200.0, east_m = 200.0 ", r"vertices\[2\] and vertices\[3\] are"),
-        ("= 0.0, east_m = 0.0 ", "= 0.0, east_m = -300.0 ", r'keep_in\[0\] "basin".* itself.* from vertices\[2\] to v'),
+        ("= 0.0, east_m = 0.0 ", "= 0.0, east_m = -300.0 ", CROSSES),
         (HARBOUR, "margin_m = 1.0", r"no zone: give at least one of \[\[keep_in\]\]"),
     ],
 )
@@ -157,18 +160,36 @@ MANY = [[[5.32 + 0.001 * math.cos(k % 501), 60.39 + 0.001 * math.sin(k % 501)] f
     ("third", "message"),
     [
         ({}, r"features\[2\]: must be a Feature"),
-        (feature("moat", "Point"), r"features\[2\].properties.zone = .moat.: must be one of keep_in, keep_out, keep_o"),
+        (
+            feature("moat", "Point"),
+            r"features\[2\].properties.zone = .moat.: must be one of keep_in, keep_out, keep_out_",
+        ),
         (feature([], "Polygon"), r"features\[2\].properties.zone"),
         (feature("keep_in", "Polygon", margin_m=-1.0), r"features\[2\].margin_m = -1.0: must be"),
         (feature("keep_out_disc", "Point"), r'key "radius_m" in features\[2\] is missing'),
         (feature("keep_in", "Point"), r"features\[2\].geometry.type = .Point.: must be .Polygon. for keep_in"),
         (feature("keep_in", "Polygon", OPEN), r"features\[2\].geometry: is no geometry .*not form a closed"),
-        (feature("keep_in", "Polygon", FLAT), r"features\[2\].vertices = .*: must be .* at least 3 and at most 500"),
-        (feature("keep_in", "Polygon", [4 * [[5.32, 60.39]]]), r"features\[2\].geometry.* at least 3 different pos"),
-        (feature("keep_in", "MultiPolygon", FAR), r"features\[2\].geometry: must be .* in degrees, at most 360"),
+        (
+            feature("keep_in", "Polygon", FLAT),
+            r"features\[2\].vertices = .*: must be a list of at least 3 and at most 500",
+        ),
+        (
+            feature("keep_in", "Polygon", [4 * [[5.32, 60.39]]]),
+            r"features\[2\].geometry.* at least 3 different positions",
+        ),
+        (
+            feature("keep_in", "MultiPolygon", FAR),
+            r"features\[2\].geometry: must be longitude and latitude in degrees, at most 360",
+        ),
         (feature("keep_in", "Polygon", MANY), r"features\[2\].vertices.* at most 500"),
-        (feature("keep_in", "Polygon", SWAPPED), r"features\[2\]: vertices\[0\]: .* origin; positions are \[long"),
-        (feature("keep_out_disc", "Point", [-33.8, 151.2], radius_m=3.0), r"features\[2\].centre.* = 151.2: .*; pos"),
+        (
+            feature("keep_in", "Polygon", SWAPPED),
+            r"features\[2\]: vertices\[0\]: .* from the origin; positions are \[long",
+        ),
+        (
+            feature("keep_out_disc", "Point", [-33.8, 151.2], radius_m=3.0),
+            r"features\[2\].centre.latitude_deg = 151.2: .*; positions are",
+        ),
         (feature("keep_out", "MultiPolygon", SQUARES), r"keep_out = .*: must be a list of at most 100, each"),
     ],
 )

@@ -129,13 +129,21 @@ def test_what_a_fence_does_not_use_is_a_note(tmp_path: Path) -> None:
     [
         ("f.plan", "{}", "is no fence: 'mission'"),
         ("f.kml", "<kml/>", "is KML: convert it, as with ogr2ogr f.geojson f.kml"),
-        ("f.plan", plan([], [(True, [50.2, -5.1], -5.0)]), "item 0 MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION (5003) radius ="),
+        (
+            "f.plan",
+            plan([], [(True, [50.2, -5.1], -5.0)]),
+            "item 0 MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION (5003) radius = -5.0: must be",
+        ),
         ("f.plan", plan([], []), "no zone: give at least one"),
         ("f.waypoints", items(ITEM_0, item(5001, 3.0), item(5002, 3.0)), "(5002): the polygon before it has 1 of 3"),
         ("f.waypoints", items(ITEM_0, item(5001, 3.0)), "the last polygon has 1 of 3 vertices"),
         ("f.waypoints", items(item(16), item(16)), "item 1 MAV_CMD_NAV_WAYPOINT (16): is no part of a fence"),
         ("f.waypoints", items(item(5003, 9.0)), "has no home"),
-        ("f.waypoints", items(ITEM_0, *[item(5001, 2.0)] * 2), "item 2 MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION"),
+        (
+            "f.waypoints",
+            items(ITEM_0, *[item(5001, 2.0)] * 2),
+            "item 2 MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION (5001)",
+        ),
         ("f.waypoints", items(ITEM_0, (5001, 3.0, 0, math.nan, -5.0), *[item(5001, 3.0)] * 2), "(5001): is no polygon"),
         ("f.waypoints", items(ITEM_0, (5003, 9.0, math.inf, 50.2, -5.1)), "(5003) group = inf: must be a number"),
         ("f.waypoints", items(ITEM_0, item(5003)), "item 1 MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION (5003) radius = 0"),

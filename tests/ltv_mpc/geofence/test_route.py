@@ -104,6 +104,15 @@ def test_a_router_serves_clearances_a_little_larger_or_up_to_a_fifth_smaller() -
         assert of.serves(np.array(need)) is serves
 
 
+def test_a_way_round_a_disc_is_hardly_longer_than_the_tangents() -> None:
+    _, of = router(FENCES["disc"])
+    # both points are at distance d from the centre: tangents and the arc between them
+    reach, d = 4.0, (math.hypot(10.0, 0.5),) * 2
+    angle = math.pi - 2.0 * math.atan2(0.5, 10.0) - sum(math.acos(reach / each) for each in d)
+    shortest = sum(math.sqrt(each**2 - reach**2) for each in d) + reach * angle
+    assert shortest <= length(START, of.way(START, GOAL)) < 1.02 * shortest
+
+
 def test_a_way_is_kept_until_another_is_clearly_shorter() -> None:
     _, of = router(FENCES["disc"])
     assert of.way(START, GOAL)[0][1] < 0.5  # to port, where the disc reaches less far

@@ -80,6 +80,20 @@ def test_the_target_waits_for_a_vehicle_that_falls_behind_and_never_goes_back():
     assert 0.01 < steps[38] < 0.08  # 0.7 m behind: slowly
 
 
+def test_a_current_from_ahead_slows_the_target_down_before_the_vehicle_falls_behind():
+    follower, t_s = has_started(LINE), 0.0
+    north = []
+    for _ in range(60):
+        t_s += 0.3
+        target = np.empty((18, 2))
+        follower.advance(knots(t_s), np.array(follower.target_m or STILL), (-0.3, 0.0), target)
+        north.append((follower.target_m or STILL)[0])
+    # 0.447 m/s through the water, 0.3 m/s of it against the current
+    assert np.diff(north)[-20:] == pytest.approx(0.3 * (0.5 * 0.8**0.5 - 0.3), rel=1e-3)
+    assert target[-1, 0] == pytest.approx(0.5 * 0.8**0.5 - 0.3, rel=1e-3)
+    np.testing.assert_allclose(np.diff(target[:-1, 0]), np.diff(north)[-1], rtol=1e-3)
+
+
 def test_a_nan_estimate_stops_the_target_and_a_valid_one_moves_it_again():
     follower = has_started(LINE)
     before = go(follower, 9.0, *go(follower, 8.7, 0.0, 0.0))

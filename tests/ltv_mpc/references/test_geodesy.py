@@ -42,7 +42,7 @@ def test_near_the_origin_positions_agree_with_the_radii_of_curvature(latitude, l
         (
             Place(north_m=1.0, east_m=2.0, latitude_deg=3.0, longitude_deg=4.0),
             None,
-            "a position needs north_m and east_m",
+            "a position needs north_m and east_m, or",
         ),
         (Place(latitude_deg=3.0), HERE, "position needs north_m and east_m, or"),
         (Place(latitude_deg=3.0, longitude_deg=4.0), None, r"need an \[origin\]"),

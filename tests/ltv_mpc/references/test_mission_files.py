@@ -167,7 +167,11 @@ ELSEWHERE = "50.2 -5 0"
     [
         ("m.waypoints", mission("3 183 9 1500 0 0 0 0 0"), "item 1 MAV_CMD_DO_SET_SERVO (183) is not driven"),
         ("m.waypoints", mission(f"1 16 0 0 0 0 {ELSEWHERE}"), "item 1 MAV_CMD_NAV_WAYPOINT (16) frame 1 must"),
-        ("m.waypoints", mission(f"3 17 0 0 0 0 {ELSEWHERE}", f"3 16 0 0 0 0 {ELSEWHERE}"), "(16) follows an item with"),
+        (
+            "m.waypoints",
+            mission(f"3 17 0 0 0 0 {ELSEWHERE}", f"3 16 0 0 0 0 {ELSEWHERE}"),
+            "item 2 MAV_CMD_NAV_WAYPOINT (16) follows an item without an end",
+        ),
         (
             "m.waypoints",
             mission(f"3 16 0 0 0 0 {ELSEWHERE}", "3 178 1 0 -1 0 0 0 0", "3 21 0 0 0 0 0 0 0"),

@@ -51,7 +51,7 @@ FIRST = "kind = 'waypoints'\nspeed_mps = 1\n"
         (f"{FIRST}laps = 2\nwaypoints = [{{north_m=1, east_m=1}}, {{north_m=2, east_m=1}}]", "needs closed = true"),
         (
             f"{FIRST}depth_m = 1\nwaypoints = [{{{HERE}, depth_m = 2}}, {{north_m=2, east_m=1}}]",
-            "depth_m is given for the",
+            "depth_m is given for the whole path and for places on it",
         ),
         (f"kind = 'circle'\nspeed_mps = 0\nradius_m = 1\ncentre = {{{HERE}}}", "speed_mps = 0: must be > 0"),
         (f"{SPIRAL}inner_m = 5\nouter_m = 4", "outer_m = 4: must be > inner_m = 5"),

@@ -335,7 +335,7 @@ def test_unexcited_coefficients_are_reported_and_keep_their_value() -> None:
     both = np.repeat((20.0 + 20.0 * np.sign(np.sin(0.4 * t)))[:, None], 2, axis=1)
     even = {**TRUE, "arm_port": 0.2, "arm_starboard": 0.2, "lag_starboard": 0.2}
     wrong = changed(BELIEVED, {"surge.linear_damping_kgps": 12.0, "surge.quadratic_damping_kgpm": 90.0})
-    found = identify(wrong, moved(60.0, 3, commands=both, sd=SD, true=even)).coefficients
+    found = identify(wrong, moved(60.0, 5, commands=both, sd=SD, true=even)).coefficients
     excited = {one.name for one in found if one.excited}
     assert "mass_surge" in excited
     turning = {name for name in TRUE if name.endswith(("sway", "yaw")) or name.startswith("reference")}
