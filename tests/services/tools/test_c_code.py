@@ -72,3 +72,15 @@ def test_a_problem_that_is_not_solved_is_not_exported(
     assert run(["qp", "export-c", str(tmp_path / "c")]) == 2
     assert "is not solved: ValueError: as asked" in capsys.readouterr().err
     assert not (tmp_path / "c").exists()
+
+
+def test_a_folder_that_is_not_empty_is_left_alone_without_force(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "mine.c").write_text("int x;")
+    assert run(["qp", "export-c", str(tmp_path)]) == 2
+    assert "--force" in capsys.readouterr().err
+    assert [entry.name for entry in tmp_path.iterdir()] == ["mine.c"]
+    assert run(["qp", "export-c", str(tmp_path), "--force"]) == 0
+    assert (tmp_path / "mine.c").read_text() == "int x;"
+    assert (tmp_path / "mpc_workspace.c").exists()

@@ -97,7 +97,7 @@ def test_json_has_the_result_alone_and_its_figures_agree_with_one_another(out: P
     assert whole["parameters"]["gate_probability"] == 0.999
 
 
-def test_the_folder_holds_result_track_current_and_picture(out: Path, whole: dict[str, Any]) -> None:
+def test_the_folder_holds_result_track_current_and_picture(out: Path, whole: dict[str, Any], tmp_path: Path) -> None:
     assert {path.name for path in out.iterdir()} == {"currents.csv", "localise.html", "localise.json", "track.csv"}
     with (out / "track.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
@@ -109,6 +109,8 @@ def test_the_folder_holds_result_track_current_and_picture(out: Path, whole: dic
     assert water.depth_m[0] <= 2
     assert water.depth_m[-1] > 50
     assert "Position error against bottom track" in (out / "localise.html").read_text(encoding="utf-8")
+    with pytest.raises(ConfigError, match="--force"):
+        command(written_to(tmp_path, small()), out=out)
 
 
 def test_the_start_is_the_first_ensemble_at_the_depth(made: Path, whole: dict[str, Any]) -> None:
