@@ -126,8 +126,8 @@ def correct(belief: Belief, rows: Rows, gate: float, deweight_limit: float = 0.0
     L, info = dpotrf(inflated[used][:, used], lower=1)
     if info != 0:
         return Correction(np.zeros_like(accepted), S, False, np.zeros(n), 0)
-    # [W, y] = L^-1 [H P, z] and Y = L^-1 H E. They are solved apart, so that W and y are the same bits with any number of
-    # hypotheses: how BLAS rounds one column depends on the number of columns.
+    # [W, y] = L^-1 [H P, z] and Y = L^-1 H E, apart: how BLAS rounds one column depends on the number of columns, and W
+    # and y must be the same bits with any number of hypotheses.
     white = _solve(L, np.hstack([HP, z[:, None]])[used])
     W, y, Y = white[:, :n], white[:, n], _solve(L, (H @ E[touched])[used])
     error = y @ W
