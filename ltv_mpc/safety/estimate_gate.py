@@ -29,7 +29,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ltv_mpc.messages import CurrentProfile, Estimate
-from ltv_mpc.safety.input_age import InputAge
+from ltv_mpc.safety.health import InputAge
 from ltv_mpc.validation import relation_reason
 from ltv_mpc.vehicle.parameters import Vehicle
 from ltv_mpc.vehicle.resistance import steady_speed
