@@ -36,7 +36,6 @@ from ltv_mpc.control.ocp.extension import Limit, Term
 from ltv_mpc.control.prediction import Prediction, Start, growth_m
 from ltv_mpc.control.problem_data import Constants
 from ltv_mpc.control.resolution import settled
-from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.control.solvers import SolverFactory, make
 from ltv_mpc.control.vertical import VerticalLaw, VerticalPlan
 from ltv_mpc.conversion import exact
@@ -102,10 +101,8 @@ class Controller:
         vehicle = exact(vehicle)
         self.config = config = settled(exact(config or ControllerConfig()), vehicle)
         self.vehicle = vehicle
-        self.sent_commands = SentCommands(vehicle, config.period_ns)
-        """Commands in force, by time."""
         weights = config.weights.at_heading(False)
-        self._prediction = Prediction(vehicle)
+        self._prediction = Prediction(vehicle, config.period_ns)
         constants = Constants.of(vehicle, weights, config.knots, config.limits.state_bounds)
         constants = constants._replace(p=self._prediction.coefficients)  # one array, with what the observer learns
         self._estimates = EstimateSelector(vehicle, config)
@@ -256,7 +253,7 @@ class Controller:
         self._prediction.add_report(applied)
         self.actuator_check.add(applied)
         self._estimates.motion_fit.add_thrust(applied.t_ns, applied.thrust_N)
-        self.sent_commands.correct(applied.t_ns, applied.command_N)
+        self._prediction.sent.correct(applied.t_ns, applied.command_N)
 
     def add_timing(self, timing: CycleTiming) -> None:
         """Add the computing time of the last cycle: without receipts of plans the expected delay follows from it.
@@ -280,7 +277,7 @@ class Controller:
         estimate : where the prediction begins.
         t_ns : time of the state, vehicle time (ns).
         """
-        return self._prediction.state_at(exact(estimate), int(t_ns), self.sent_commands).lateral[:6]
+        return self._prediction.state_at(exact(estimate), int(t_ns)).lateral[:6]
 
     def set_thrust_shares(self, shares: Pair, *, in_doubt: bool = False) -> None:
         """Plan from the next cycle on with lateral thrusters that deliver a share of what they report.
@@ -343,7 +340,7 @@ class Controller:
         """Return the plan of one cycle. May raise; ``plan`` catches it."""
         decision = self._decide(newest, now_ns, override, health)
         delay_ns = self._delay.expected_ns
-        start = self._prediction.state_at(decision.estimate, now_ns + delay_ns, self.sent_commands)
+        start = self._prediction.state_at(decision.estimate, now_ns + delay_ns)
         self._estimates.motion_fit.add_thrust(start.t_ns, start.thrust_N, reported=False)
         knots = start.t_ns + self._knots_ns
         if self._lateral.fencing.predict_obstacles(start.t_ns):
@@ -412,7 +409,7 @@ class Controller:
         state, expected_ns = exact(state), 0
         if state.plan is not None:
             expected_ns = state.plan.expected_delay_ns
-            self.sent_commands.add(state.plan, before_N=state.plan.initial_thrust_N)
+            self._prediction.sent.add(state.plan, before_N=state.plan.initial_thrust_N)
             self.actuator_check.sent(state.plan)
             self._lateral.previous.restore(state.plan)
         self._delay.restore(expected_ns, state.plan_delays_ns, state.cycle_times_ns)
@@ -450,7 +447,7 @@ class Controller:
             self._vertical.depth_limits.update(estimate)
             if check.learns:
                 self._estimates.motion_fit.update(estimate)
-            estimate = self.observer.correct(estimate, self._prediction, self.sent_commands, learns=check.learns)
+            estimate = self.observer.correct(estimate, self._prediction, learns=check.learns)
             self._prediction.coefficients[:] = self.observer.coefficients
             bounded, in_waves = self.observer.is_bounded, self.observer.in_waves
             self.vehicle_file_check.update(
@@ -459,7 +456,7 @@ class Controller:
         own = self._estimates.health(now_ns)
         if estimate is not None and own.health is Health.DEGRADED:
             bias = self.observer.covariance_of_mean((now_ns - estimate.t_ns) * 1e-9)
-            growth = growth_m(self._prediction, estimate, now_ns, self.sent_commands, bias)
+            growth = growth_m(self._prediction, estimate, now_ns, bias)
             self._estimates.limit_growth(growth)
             own = self._estimates.health(now_ns)
         decision = decide(
@@ -488,7 +485,7 @@ class Controller:
             depth_reference = self.follower.depths(knots) if decision.follows else None
             if depth_reference is not None:
                 return law.track(start, decision.estimate, *depth_reference)
-        return law.keep(start, self.sent_commands.at(knots)[:, 2])
+        return law.keep(start, self._prediction.sent.at(knots)[:, 2])
 
     def _plan_lateral(self, decision: Decision, start: Start, knots: Times) -> LateralPlan:
         """Return the lateral thrusters' plan in this mode.
@@ -559,7 +556,7 @@ class Controller:
 
     def _record(self, plan: Plan) -> None:
         """Record the plan as sent: its commands are in force from its first knot on."""
-        self.sent_commands.add(plan)
+        self._prediction.sent.add(plan)
         self.actuator_check.sent(plan)
         self._lateral.previous.record(plan)
 
@@ -575,7 +572,7 @@ class Controller:
         knots = now_ns + delay_ns + self._knots_ns
         command = np.zeros(3)
         with contextlib.suppress(Exception):
-            command = self.sent_commands.at(knots[:1])[0]
+            command = self._prediction.sent.at(knots[:1])[0]
         states, fence = np.zeros((len(knots), 6)), None
         estimate = self.estimate_gate.accepted
         if estimate is not None:
