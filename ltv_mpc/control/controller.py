@@ -28,7 +28,6 @@ from ltv_mpc.bathymetry import Bathymetry
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.delay import Delay
 from ltv_mpc.control.disturbance import DisturbanceObserver
-from ltv_mpc.control.estimate_selector import EstimateSelector
 from ltv_mpc.control.fallback import NOT_RUN, LateralPlan, ramp_to_rest
 from ltv_mpc.control.lateral import MAX_WHY_CHARS, LateralPlanner
 from ltv_mpc.control.mode import Decision, Mode, decide
@@ -62,7 +61,7 @@ from ltv_mpc.safety.actuator_check import ActuatorCheck
 from ltv_mpc.safety.command_arbiter import ThrustOverride
 from ltv_mpc.safety.estimate_gate import EstimateGate
 from ltv_mpc.safety.health import NOMINAL, HealthState, plan_end_ns, worst
-from ltv_mpc.safety.vehicle_file_check import VehicleFileCheck
+from ltv_mpc.safety.motion_fit import MotionFit, VehicleFileCheck
 from ltv_mpc.vehicle.parameters import Vehicle
 
 SAVE_PERIOD_NS = 5_000_000_000
@@ -105,13 +104,17 @@ class Controller:
         self._prediction = Prediction(vehicle, config.period_ns)
         constants = Constants.of(vehicle, weights, config.knots, config.limits.state_bounds)
         constants = constants._replace(p=self._prediction.coefficients)  # one array, with what the observer learns
-        self._estimates = EstimateSelector(vehicle, config)
+        self.estimate_gate = EstimateGate(vehicle, config.ages)
+        """Plausibility check of the estimates, with the count of rejected ones."""
+        self.vehicle_file_check = VehicleFileCheck(MotionFit(vehicle))
+        """Check of the vehicle file against what the motion shows."""
+        self.actuator_check = ActuatorCheck(vehicle, config.period_ns)
+        """Check of the actuators' reports against the plans: whether the motion comes from them."""
         self.observer = DisturbanceObserver(config.disturbance, vehicle)
         """What the motion has shown of current, estimated point and vehicle."""
         self._vertical = VerticalLaw(vehicle, constants, config.limits)
-        self._knots_ns = config.knots_ns  # after the plan's start
         first_ns, least_ns = round(config.first_delay_s * 1e9), round(config.min_delay_s * 1e9)
-        plan_ns = plan_end_ns(self._knots_ns, config.period_ns, vehicle.plan_timeout_s)
+        plan_ns = plan_end_ns(config.knots_ns, config.period_ns, vehicle.plan_timeout_s)
         self._delay = Delay(first_ns, config.delay_quantile, least_ns, plan_ns)
         self._lateral = LateralPlanner(vehicle, config, constants, make_solver, stopwatch, terms)
         self._stopwatch = stopwatch
@@ -121,21 +124,6 @@ class Controller:
     def follower(self) -> Follower:
         """Follower of the reference: its target and the progress along it."""
         return self._followers[-1]
-
-    @property
-    def estimate_gate(self) -> EstimateGate:
-        """Plausibility check of the estimates, with the count of rejected ones."""
-        return self._estimates.gate
-
-    @property
-    def vehicle_file_check(self) -> VehicleFileCheck:
-        """Check of the vehicle file against what the motion shows."""
-        return self._estimates.vehicle_file_check
-
-    @property
-    def actuator_check(self) -> ActuatorCheck:
-        """Check of the actuators' reports against the plans."""
-        return self._estimates.actuator_check
 
     def follow(self, reference: Reference) -> None:
         """Follow another reference from the next cycle on, or from ``resume`` on while the controller is paused.
@@ -252,7 +240,7 @@ class Controller:
         self._delay.add_receipt(applied)
         self._prediction.add_report(applied)
         self.actuator_check.add(applied)
-        self._estimates.motion_fit.add_thrust(applied.t_ns, applied.thrust_N)
+        self.vehicle_file_check.fit.add_thrust(applied.t_ns, applied.thrust_N)
         self._prediction.sent.correct(applied.t_ns, applied.command_N)
 
     def add_timing(self, timing: CycleTiming) -> None:
@@ -266,7 +254,8 @@ class Controller:
 
     def restart_estimates(self) -> None:
         """Begin with another source of estimates: gate, period, checks and current bias are those of one source."""
-        self._estimates.restart()
+        self.estimate_gate.restart()
+        self.vehicle_file_check = VehicleFileCheck(MotionFit(self.vehicle))
         self.observer = DisturbanceObserver(self.config.disturbance, self.vehicle)
 
     def predict(self, estimate: Estimate, t_ns: int) -> Array:
@@ -298,7 +287,7 @@ class Controller:
         ----------
         t_ns : now, vehicle time (ns).
         """
-        return worst(self._estimates.health(t_ns), self.actuator_check.health, self.vehicle_file_check.health)
+        return worst(self.estimate_gate.health(t_ns), self.actuator_check.health, self.vehicle_file_check.health)
 
     def plan(
         self,
@@ -341,17 +330,17 @@ class Controller:
         decision = self._decide(newest, now_ns, override, health)
         delay_ns = self._delay.expected_ns
         start = self._prediction.state_at(decision.estimate, now_ns + delay_ns)
-        self._estimates.motion_fit.add_thrust(start.t_ns, start.thrust_N, reported=False)
-        knots = start.t_ns + self._knots_ns
+        self.vehicle_file_check.fit.add_thrust(start.t_ns, start.thrust_N, reported=False)
+        knots = start.t_ns + self._lateral.previous.knots_ns
         if self._lateral.fencing.predict_obstacles(start.t_ns):
             self._restrict_paths()
         if decision.follows:
             current = start.current_north_mps, start.current_east_mps
             self.follower.advance(knots, start.lateral, current, self._lateral.target)
-            if self._estimates.health(now_ns) is NOMINAL:
+            if self.estimate_gate.health(now_ns) is NOMINAL:
                 self.follower.arrive(decision.estimate, self.config.position_tolerance_m)
         self._lateral.fencing.set_path(self.follower.path_beside(knots) if decision.follows else None)
-        error_mps2, apart_m = self.observer.model_error_mps2, self._estimates.growth_m + self.observer.waves_m
+        error_mps2, apart_m = self.observer.model_error_mps2, self.estimate_gate.growth_m + self.observer.waves_m
         self._lateral.fencing.update(start, decision.estimate, apart_m, error_mps2)
         follower = self.follower if decision.follows else None
         self._vertical.depth_limits.look_ahead(start, self._lateral.previous.plan, follower)
@@ -438,7 +427,7 @@ class Controller:
 
         The decision uses the newest plausible estimate, corrected by the disturbance observer.
         """
-        estimate, check = self._estimates.select(newest), self.actuator_check
+        estimate, check = self.estimate_gate.select(newest), self.actuator_check
         check.overridden = override is not None
         if check.began_ns is not None:
             self.observer.take_back(check.began_ns)
@@ -446,19 +435,17 @@ class Controller:
         if estimate is not None:
             self._vertical.depth_limits.update(estimate)
             if check.learns:
-                self._estimates.motion_fit.update(estimate)
+                self.vehicle_file_check.fit.update(estimate)
             estimate = self.observer.correct(estimate, self._prediction, learns=check.learns)
             self._prediction.coefficients[:] = self.observer.coefficients
             bounded, in_waves = self.observer.is_bounded, self.observer.in_waves
-            self.vehicle_file_check.update(
-                estimate.t_ns, self._estimates.motion_fit, bounded=bounded, in_waves=in_waves
-            )
-        own = self._estimates.health(now_ns)
+            self.vehicle_file_check.update(estimate.t_ns, bounded=bounded, in_waves=in_waves)
+        own = self.estimate_gate.health(now_ns)
         if estimate is not None and own.health is Health.DEGRADED:
             bias = self.observer.covariance_of_mean((now_ns - estimate.t_ns) * 1e-9)
             growth = growth_m(self._prediction, estimate, now_ns, bias)
-            self._estimates.limit_growth(growth)
-            own = self._estimates.health(now_ns)
+            self.estimate_gate.limit_growth(growth)
+            own = self.estimate_gate.health(now_ns)
         decision = decide(
             estimate,
             now_ns,
@@ -569,7 +556,7 @@ class Controller:
         self._lateral.discard_solvers()
         self._lateral.previous.plan = None
         delay_ns = self._delay.expected_ns
-        knots = now_ns + delay_ns + self._knots_ns
+        knots = now_ns + delay_ns + self._lateral.previous.knots_ns
         command = np.zeros(3)
         with contextlib.suppress(Exception):
             command = self._prediction.sent.at(knots[:1])[0]
