@@ -13,7 +13,6 @@ from benchmarks.fences.scenes import Scene, estimate_at_start, obstacle_at, scen
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.prediction import Prediction, as_estimate
 from ltv_mpc.control.scaling import characteristic_scales
-from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.geofence.zones import clearances, pack_zones
 from ltv_mpc.messages import Array, Obstacles, Pair, SolveStatus
 from ltv_mpc.references import Point
@@ -76,7 +75,7 @@ def fly(job: Job) -> Flown:
     near_m = characteristic_scales(vehicle).length_m
     controller = Controller(vehicle, Point(north_m=scene.goal[0], east_m=scene.goal[1]), settings_of(scene.name))
     controller.set_fence(scene.fence)
-    commands, prediction, true = SentCommands(vehicle), Prediction(vehicle), MODELS[job.model](job.seed)
+    prediction, true = Prediction(vehicle), MODELS[job.model](job.seed)
     prediction.coefficients[:] = apply_mismatch(vehicle.coefficients(), true)
     prediction.set_shares(true.thrusts[:2])
     track, times, cycles = [(estimate.north_m, estimate.east_m)], [0.0], 0
@@ -89,10 +88,10 @@ def fly(job: Job) -> Flown:
         plan = controller.plan(estimate)
         if plan.solve.status is not SolveStatus.SOLVED:
             unsolved.append(t_ns * 1e-9)
-        commands.add(plan)
+        prediction.sent.add(plan)
         cycles += 1
         for part in range(1, PARTS + 1):
-            end = prediction.state_at(estimate, t_ns + part * CYCLE_NS // PARTS, commands)
+            end = prediction.state_at(estimate, t_ns + part * CYCLE_NS // PARTS)
             track.append((float(end.lateral[0]), float(end.lateral[1])))
             times.append((t_ns + part * CYCLE_NS // PARTS) * 1e-9)
         estimate = as_estimate(end, estimate)

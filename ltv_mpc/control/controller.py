@@ -28,7 +28,6 @@ from ltv_mpc.bathymetry import Bathymetry
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.delay import Delay
 from ltv_mpc.control.disturbance import DisturbanceObserver
-from ltv_mpc.control.estimate_selector import EstimateSelector
 from ltv_mpc.control.fallback import NOT_RUN, LateralPlan, ramp_to_rest
 from ltv_mpc.control.lateral import MAX_WHY_CHARS, LateralPlanner
 from ltv_mpc.control.mode import Decision, Mode, decide
@@ -36,7 +35,6 @@ from ltv_mpc.control.ocp.extension import Limit, Term
 from ltv_mpc.control.prediction import Prediction, Start, growth_m
 from ltv_mpc.control.problem_data import Constants
 from ltv_mpc.control.resolution import settled
-from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.control.solvers import SolverFactory, make
 from ltv_mpc.control.vertical import VerticalLaw, VerticalPlan
 from ltv_mpc.conversion import exact
@@ -63,7 +61,7 @@ from ltv_mpc.safety.actuator_check import ActuatorCheck
 from ltv_mpc.safety.command_arbiter import ThrustOverride
 from ltv_mpc.safety.estimate_gate import EstimateGate
 from ltv_mpc.safety.health import NOMINAL, HealthState, plan_end_ns, worst
-from ltv_mpc.safety.vehicle_file_check import VehicleFileCheck
+from ltv_mpc.safety.motion_fit import MotionFit, VehicleFileCheck
 from ltv_mpc.vehicle.parameters import Vehicle
 
 SAVE_PERIOD_NS = 5_000_000_000
@@ -102,19 +100,21 @@ class Controller:
         vehicle = exact(vehicle)
         self.config = config = settled(exact(config or ControllerConfig()), vehicle)
         self.vehicle = vehicle
-        self.sent_commands = SentCommands(vehicle, config.period_ns)
-        """Commands in force, by time."""
         weights = config.weights.at_heading(False)
-        self._prediction = Prediction(vehicle)
+        self._prediction = Prediction(vehicle, config.period_ns)
         constants = Constants.of(vehicle, weights, config.knots, config.limits.state_bounds)
         constants = constants._replace(p=self._prediction.coefficients)  # one array, with what the observer learns
-        self._estimates = EstimateSelector(vehicle, config)
+        self.estimate_gate = EstimateGate(vehicle, config.ages)
+        """Plausibility check of the estimates, with the count of rejected ones."""
+        self.vehicle_file_check = VehicleFileCheck(MotionFit(vehicle))
+        """Check of the vehicle file against what the motion shows."""
+        self.actuator_check = ActuatorCheck(vehicle, config.period_ns)
+        """Check of the actuators' reports against the plans: whether the motion comes from them."""
         self.observer = DisturbanceObserver(config.disturbance, vehicle)
         """What the motion has shown of current, estimated point and vehicle."""
         self._vertical = VerticalLaw(vehicle, constants, config.limits)
-        self._knots_ns = config.knots_ns  # after the plan's start
         first_ns, least_ns = round(config.first_delay_s * 1e9), round(config.min_delay_s * 1e9)
-        plan_ns = plan_end_ns(self._knots_ns, config.period_ns, vehicle.plan_timeout_s)
+        plan_ns = plan_end_ns(config.knots_ns, config.period_ns, vehicle.plan_timeout_s)
         self._delay = Delay(first_ns, config.delay_quantile, least_ns, plan_ns)
         self._lateral = LateralPlanner(vehicle, config, constants, make_solver, stopwatch, terms)
         self._stopwatch = stopwatch
@@ -124,21 +124,6 @@ class Controller:
     def follower(self) -> Follower:
         """Follower of the reference: its target and the progress along it."""
         return self._followers[-1]
-
-    @property
-    def estimate_gate(self) -> EstimateGate:
-        """Plausibility check of the estimates, with the count of rejected ones."""
-        return self._estimates.gate
-
-    @property
-    def vehicle_file_check(self) -> VehicleFileCheck:
-        """Check of the vehicle file against what the motion shows."""
-        return self._estimates.vehicle_file_check
-
-    @property
-    def actuator_check(self) -> ActuatorCheck:
-        """Check of the actuators' reports against the plans."""
-        return self._estimates.actuator_check
 
     def follow(self, reference: Reference) -> None:
         """Follow another reference from the next cycle on, or from ``resume`` on while the controller is paused.
@@ -255,8 +240,8 @@ class Controller:
         self._delay.add_receipt(applied)
         self._prediction.add_report(applied)
         self.actuator_check.add(applied)
-        self._estimates.motion_fit.add_thrust(applied.t_ns, applied.thrust_N)
-        self.sent_commands.correct(applied.t_ns, applied.command_N)
+        self.vehicle_file_check.fit.add_thrust(applied.t_ns, applied.thrust_N)
+        self._prediction.sent.correct(applied.t_ns, applied.command_N)
 
     def add_timing(self, timing: CycleTiming) -> None:
         """Add the computing time of the last cycle: without receipts of plans the expected delay follows from it.
@@ -269,7 +254,8 @@ class Controller:
 
     def restart_estimates(self) -> None:
         """Begin with another source of estimates: gate, period, checks and current bias are those of one source."""
-        self._estimates.restart()
+        self.estimate_gate.restart()
+        self.vehicle_file_check = VehicleFileCheck(MotionFit(self.vehicle))
         self.observer = DisturbanceObserver(self.config.disturbance, self.vehicle)
 
     def predict(self, estimate: Estimate, t_ns: int) -> Array:
@@ -280,7 +266,7 @@ class Controller:
         estimate : where the prediction begins.
         t_ns : time of the state, vehicle time (ns).
         """
-        return self._prediction.state_at(exact(estimate), int(t_ns), self.sent_commands).lateral[:6]
+        return self._prediction.state_at(exact(estimate), int(t_ns)).lateral[:6]
 
     def set_thrust_shares(self, shares: Pair, *, in_doubt: bool = False) -> None:
         """Plan from the next cycle on with lateral thrusters that deliver a share of what they report.
@@ -301,7 +287,7 @@ class Controller:
         ----------
         t_ns : now, vehicle time (ns).
         """
-        return worst(self._estimates.health(t_ns), self.actuator_check.health, self.vehicle_file_check.health)
+        return worst(self.estimate_gate.health(t_ns), self.actuator_check.health, self.vehicle_file_check.health)
 
     def plan(
         self,
@@ -343,18 +329,18 @@ class Controller:
         """Return the plan of one cycle. May raise; ``plan`` catches it."""
         decision = self._decide(newest, now_ns, override, health)
         delay_ns = self._delay.expected_ns
-        start = self._prediction.state_at(decision.estimate, now_ns + delay_ns, self.sent_commands)
-        self._estimates.motion_fit.add_thrust(start.t_ns, start.thrust_N, reported=False)
-        knots = start.t_ns + self._knots_ns
+        start = self._prediction.state_at(decision.estimate, now_ns + delay_ns)
+        self.vehicle_file_check.fit.add_thrust(start.t_ns, start.thrust_N, reported=False)
+        knots = start.t_ns + self._lateral.previous.knots_ns
         if self._lateral.fencing.predict_obstacles(start.t_ns):
             self._restrict_paths()
         if decision.follows:
             current = start.current_north_mps, start.current_east_mps
             self.follower.advance(knots, start.lateral, current, self._lateral.target)
-            if self._estimates.health(now_ns) is NOMINAL:
+            if self.estimate_gate.health(now_ns) is NOMINAL:
                 self.follower.arrive(decision.estimate, self.config.position_tolerance_m)
         self._lateral.fencing.set_path(self.follower.path_beside(knots) if decision.follows else None)
-        error_mps2, apart_m = self.observer.model_error_mps2, self._estimates.growth_m + self.observer.waves_m
+        error_mps2, apart_m = self.observer.model_error_mps2, self.estimate_gate.growth_m + self.observer.waves_m
         self._lateral.fencing.update(start, decision.estimate, apart_m, error_mps2)
         follower = self.follower if decision.follows else None
         self._vertical.depth_limits.look_ahead(start, self._lateral.previous.plan, follower)
@@ -412,7 +398,7 @@ class Controller:
         state, expected_ns = exact(state), 0
         if state.plan is not None:
             expected_ns = state.plan.expected_delay_ns
-            self.sent_commands.add(state.plan, before_N=state.plan.initial_thrust_N)
+            self._prediction.sent.add(state.plan, before_N=state.plan.initial_thrust_N)
             self.actuator_check.sent(state.plan)
             self._lateral.previous.restore(state.plan)
         self._delay.restore(expected_ns, state.plan_delays_ns, state.cycle_times_ns)
@@ -441,7 +427,7 @@ class Controller:
 
         The decision uses the newest plausible estimate, corrected by the disturbance observer.
         """
-        estimate, check = self._estimates.select(newest), self.actuator_check
+        estimate, check = self.estimate_gate.select(newest), self.actuator_check
         check.overridden = override is not None
         if check.began_ns is not None:
             self.observer.take_back(check.began_ns)
@@ -449,19 +435,17 @@ class Controller:
         if estimate is not None:
             self._vertical.depth_limits.update(estimate)
             if check.learns:
-                self._estimates.motion_fit.update(estimate)
-            estimate = self.observer.correct(estimate, self._prediction, self.sent_commands, learns=check.learns)
+                self.vehicle_file_check.fit.update(estimate)
+            estimate = self.observer.correct(estimate, self._prediction, learns=check.learns)
             self._prediction.coefficients[:] = self.observer.coefficients
             bounded, in_waves = self.observer.is_bounded, self.observer.in_waves
-            self.vehicle_file_check.update(
-                estimate.t_ns, self._estimates.motion_fit, bounded=bounded, in_waves=in_waves
-            )
-        own = self._estimates.health(now_ns)
+            self.vehicle_file_check.update(estimate.t_ns, bounded=bounded, in_waves=in_waves)
+        own = self.estimate_gate.health(now_ns)
         if estimate is not None and own.health is Health.DEGRADED:
             bias = self.observer.covariance_of_mean((now_ns - estimate.t_ns) * 1e-9)
-            growth = growth_m(self._prediction, estimate, now_ns, self.sent_commands, bias)
-            self._estimates.limit_growth(growth)
-            own = self._estimates.health(now_ns)
+            growth = growth_m(self._prediction, estimate, now_ns, bias)
+            self.estimate_gate.limit_growth(growth)
+            own = self.estimate_gate.health(now_ns)
         decision = decide(
             estimate,
             now_ns,
@@ -488,7 +472,7 @@ class Controller:
             depth_reference = self.follower.depths(knots) if decision.follows else None
             if depth_reference is not None:
                 return law.track(start, decision.estimate, *depth_reference)
-        return law.keep(start, self.sent_commands.at(knots)[:, 2])
+        return law.keep(start, self._prediction.sent.at(knots)[:, 2])
 
     def _plan_lateral(self, decision: Decision, start: Start, knots: Times) -> LateralPlan:
         """Return the lateral thrusters' plan in this mode.
@@ -559,7 +543,7 @@ class Controller:
 
     def _record(self, plan: Plan) -> None:
         """Record the plan as sent: its commands are in force from its first knot on."""
-        self.sent_commands.add(plan)
+        self._prediction.sent.add(plan)
         self.actuator_check.sent(plan)
         self._lateral.previous.record(plan)
 
@@ -572,10 +556,10 @@ class Controller:
         self._lateral.discard_solvers()
         self._lateral.previous.plan = None
         delay_ns = self._delay.expected_ns
-        knots = now_ns + delay_ns + self._knots_ns
+        knots = now_ns + delay_ns + self._lateral.previous.knots_ns
         command = np.zeros(3)
         with contextlib.suppress(Exception):
-            command = self.sent_commands.at(knots[:1])[0]
+            command = self._prediction.sent.at(knots[:1])[0]
         states, fence = np.zeros((len(knots), 6)), None
         estimate = self.estimate_gate.accepted
         if estimate is not None:

@@ -36,7 +36,6 @@ import numpy as np
 from ltv_mpc.control.config import Disturbance
 from ltv_mpc.control.disturbance_filter import ARM, CURRENT, MODEL, STATES, adapted, propagate, update_belief
 from ltv_mpc.control.prediction import Prediction, currents_at_depths
-from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.control.wave_filter import BAND_RADPS, INNOVATION, MOST, MOVED, NIS, SIZE, SQUARE
 from ltv_mpc.messages import Array, CurrentProfile, DisturbanceState, Estimate
 from ltv_mpc.references.limits import path_limits
@@ -244,16 +243,13 @@ class DisturbanceObserver:
         sinking_m = abs(self._last[0].velocity_down_mps or 0.0) * seconds
         return self.covariance + self._walk(seconds, sinking_m) / 3.0 * np.eye(2)
 
-    def correct(
-        self, estimate: Estimate, prediction: Prediction, commands: SentCommands, *, learns: bool = True
-    ) -> Estimate:
+    def correct(self, estimate: Estimate, prediction: Prediction, *, learns: bool = True) -> Estimate:
         """Update the belief with an estimate, and correct the estimate.
 
         Parameters
         ----------
         estimate : the newest one.
-        prediction : knows the vehicle and the actuators' reports.
-        commands : commands in force since the last estimate.
+        prediction : knows the vehicle, the commands in force and the actuators' reports.
         learns : False: the belief is not updated, and its variance grows.
 
         Returns
@@ -275,7 +271,7 @@ class DisturbanceObserver:
             compares = interval_ns <= MAX_INTERVAL_NS and (last.current is None) is (estimate.current is None)
             if learns and compares and not self.thrust_in_doubt:
                 most = self._track[MOST, 0]
-                estimate = self._update(last, estimate, prediction, commands)
+                estimate = self._update(last, estimate, prediction)
                 if self._waves_share > 0.0 and self._track[MOST, 0] > most:  # they have looked like arm and model
                     self._belief = self._belief[0] * (np.arange(STATES) < ARM), np.diag(self._prior_and_walks[0])
                     self._before.clear()
@@ -397,7 +393,7 @@ class DisturbanceObserver:
         # The next update bounds the variances by the prior.
         self._belief = np.where(known, state.mean, 0.0), np.where(np.outer(known, known), P, 0.0)
 
-    def _update(self, last: Estimate, estimate: Estimate, prediction: Prediction, commands: SentCommands) -> Estimate:
+    def _update(self, last: Estimate, estimate: Estimate, prediction: Prediction) -> Estimate:
         """Update the belief with the change from the last estimate, and return the newest with filtered velocities."""
         profile = last.current or STILL_WATER
         later = profile if last.current is None else estimate.current or profile
@@ -408,8 +404,8 @@ class DisturbanceObserver:
             (self._belief[0], self._propagated(last, estimate)),
             (estimate.t_ns, north, east, estimate.heading_rad, yaw_rate),
             self._file,
-            prediction.measured(last, commands),
-            prediction.delivered(commands),
+            prediction.measured(last),
+            prediction.delivered,
             ((profile.depth_m, profile.north_mps, profile.east_mps), (later.depth_m, later.north_mps, later.east_mps)),
             (self._noise[0] + s2, *self._noise[1:], self._settings.sd_mps != 0),
             self._track,

@@ -31,8 +31,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from ltv_mpc.control.prediction import Measured, Profile, current_at_depth, predict_state
-from ltv_mpc.control.sent_commands import Commands
+from ltv_mpc.control.prediction import Commands, Measured, Profile, current_at_depth, predict_state
 from ltv_mpc.control.wave_filter import MOVING, NIS, correct_noise, predict_noise
 from ltv_mpc.jit import copy_to, jit, jit_outlined
 from ltv_mpc.messages import Array

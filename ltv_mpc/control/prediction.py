@@ -21,6 +21,14 @@ d    change (2,) of the predicted position if a thruster delivers 10 % more
 
 The derivatives are differences of predictions, so this takes eleven predictions. The controller needs them only while
 its estimates are late (``mode.py``).
+
+Commands in force by time: everything that was sent, as one piecewise linear function.
+
+A plan takes over from the one before at its own start. After its end the commands ramp to rest at the slew limit, as
+the actuators do without a new plan (``plan_gate.py``): the lateral ones to zero, the vertical one to
+``failsafe_vertical_N``. The prediction of the state at the start of a new plan uses these commands. The actuators may
+report another command (a plan came late, or this controller is new): then the report is taken as true, and from there
+the commands approach the plan at the slew limit.
 """
 
 from __future__ import annotations
@@ -32,13 +40,131 @@ from typing import NamedTuple, TypeAlias
 import msgspec
 import numpy as np
 
-from ltv_mpc.control.sent_commands import Commands, SentCommands
 from ltv_mpc.conversion import exact
 from ltv_mpc.jit import copy_to, count_up_to, jit, linear_at
-from ltv_mpc.messages import Applied, Array, CurrentProfile, Estimate, Pair, Plan, Triple
+from ltv_mpc.messages import Applied, Array, CurrentProfile, Estimate, Pair, Plan, Times, Triple
+from ltv_mpc.safety.health import plan_end_ns
 from ltv_mpc.vehicle.dynamics import coefficients
 from ltv_mpc.vehicle.flow import STATES, advance_heave, advance_stage, lag_table, lag_weights
 from ltv_mpc.vehicle.parameters import Vehicle
+
+HISTORY_NS, HISTORY_LAGS = 10_000_000_000, 8.0
+"""Shortest history while estimates arrive, in ns and in lags of a thruster. Without reports the delivered thrust
+follows from it, and e^-8 of an error at its begin is left.
+"""
+
+MAX_HISTORY_NS = 60_000_000_000
+"""Length of the history while they do not: it reaches back to the estimate in use, at most this far."""
+
+BEFORE_ESTIMATE_NS = 1_000_000_000
+"""Time before the estimate in use from which commands are kept: a report of the actuators may be older than it."""
+
+TOLERANCE_N = 0.01
+"""Largest difference between two commands that counts as rounding."""
+
+CATCH_UP_STEP_NS = 10_000_000
+"""Time step in which the reported command approaches the plan."""
+
+
+Commands: TypeAlias = tuple[Times, Array]
+"""Commands by time: knots (M,), vehicle time (ns); thrusts (M, 3) of port, starboard and vertical (N). They are linear
+between the knots, constant beyond them, and zero if there are no knots.
+"""
+
+
+class SentCommands:
+    """Commands that the actuators follow, by time."""
+
+    def __init__(self, vehicle: Vehicle, period_ns: int = 0) -> None:
+        """Begin before the first plan.
+
+        Parameters
+        ----------
+        vehicle : its slew limits, its failsafe thrust and its ``plan_timeout_s`` are used.
+        period_ns : period of the plans (ns).
+        """
+        self._slew = np.array([t.slew_N_per_s for t in vehicle.thrusters])
+        self._rest = np.array([0.0, 0.0, vehicle.failsafe_vertical_N])
+        self._history_ns = max(HISTORY_NS, round(HISTORY_LAGS * 1e9 * max(t.lag_s for t in vehicle.thrusters)))
+        self._period_ns, self._timeout_s = period_ns, vehicle.plan_timeout_s
+        self.knots: Commands = (np.empty(0, dtype=np.int64), np.empty((0, 3)))
+        """Commands from ``HISTORY_NS`` ago on, or from the estimate of the last plan on if that is older."""
+
+    def add(self, plan: Plan, *, before_N: Triple = (0.0, 0.0, 0.0)) -> None:
+        """Add a plan that was sent.
+
+        Parameters
+        ----------
+        plan : is in force from its first knot on.
+        before_N : commands until then, if it is the first plan (N); by default the thrusters are at rest.
+        """
+        (t, thrust), start_ns = self.knots, int(plan.t_ns[0])
+        if len(t) == 0:
+            t, thrust = np.array([start_ns - 1]), np.array([before_N])
+        estimate_ns = max(plan.estimate_t_ns - BEFORE_ESTIMATE_NS, start_ns - MAX_HISTORY_NS)
+        past = slice(t.searchsorted(min(start_ns - self._history_ns, estimate_ns), "right"), t.searchsorted(start_ns))
+        end_ns = plan_end_ns(plan.t_ns, self._period_ns, self._timeout_s)
+        k = int(plan.t_ns.searchsorted(end_ns))
+        last_N, before_ns = plan.thrust_N[k], int(plan.t_ns[k - 1])
+        if k > 0:
+            part = (end_ns - before_ns) / (int(plan.t_ns[k]) - before_ns)
+            last_N = plan.thrust_N[k - 1] + part * (last_N - plan.thrust_N[k - 1])
+        # One knot where each thruster comes to rest, in the order of time; two in one nanosecond share it.
+        way_N = last_N - self._rest
+        own_ns = np.ceil(np.abs(way_N) / self._slew * 1e9)
+        ramp_ns = np.array(sorted({0.0, *own_ns.tolist()}))
+        left = 1.0 - np.minimum(ramp_ns[:, None] / np.maximum(own_ns, 1.0), 1.0)
+        self.knots = (
+            np.concatenate([t[past], plan.t_ns[:k], end_ns + ramp_ns.astype(np.int64)]),
+            np.concatenate([thrust[past], plan.thrust_N[:k], self._rest + left * way_N]),
+        )
+
+    @property
+    def oldest(self) -> tuple[int, Array]:
+        """Time (ns) and commands (3,) of the oldest knot (N); zero if nothing was sent."""
+        t, thrust = self.knots
+        return (int(t[0]), thrust[0]) if len(t) else (0, np.zeros(3))
+
+    def correct(self, t_ns: int, command_N: Triple) -> None:
+        """Correct the commands by a report of the actuators.
+
+        Parameters
+        ----------
+        t_ns : time of the report, vehicle time (ns).
+        command_N : commands of port, starboard and vertical in force at ``t_ns`` (N).
+        """
+        t, thrust = self.knots
+        times, commands = [t_ns], [np.array(command_N)]
+        target = self.at(np.array(times, dtype=np.int64))[0]
+        if np.abs(target - commands[0]).max() <= TOLERANCE_N:
+            return
+        while np.abs(target - commands[-1]).max() > TOLERANCE_N and times[-1] < t_ns + HISTORY_NS:
+            times.append(times[-1] + CATCH_UP_STEP_NS)
+            target = self.at(np.array(times[-1:], dtype=np.int64))[0]
+            reach = self._slew * CATCH_UP_STEP_NS * 1e-9
+            commands.append(commands[-1] + np.clip(target - commands[-1], -reach, reach))
+        before, after = t < t_ns, t > times[-1]
+        self.knots = (
+            np.concatenate([t[before], np.array(times, dtype=np.int64), t[after]]),
+            np.concatenate([thrust[before], np.array(commands), thrust[after]]),
+        )
+
+    def at(self, t_ns: Times) -> Array:
+        """Return the commands in force.
+
+        Parameters
+        ----------
+        t_ns : (M,) vehicle times (ns).
+
+        Returns
+        -------
+        (M, 3) commands of port, starboard and vertical (N); zero if nothing was sent.
+        """
+        t, thrust = self.knots
+        if not len(t):
+            return np.zeros((len(t_ns), 3))
+        return np.stack([np.interp(t_ns - t[0], t - t[0], of_one) for of_one in thrust.T], axis=1)
+
 
 STEP_NS = 100_000_000
 """Longest integration step; steps also end where the commands have a knot."""
@@ -122,8 +248,15 @@ def currents_at_depths(profile: CurrentProfile | None, depth_m: Array) -> Array:
 class Prediction:
     """Prediction of the vehicle's state, from an estimate through the commands that were sent."""
 
-    def __init__(self, vehicle: Vehicle) -> None:
-        """Begin without a report of the actuators."""
+    def __init__(self, vehicle: Vehicle, period_ns: int = 0) -> None:
+        """Begin without a plan and without a report of the actuators.
+
+        Parameters
+        ----------
+        vehicle, period_ns : as ``SentCommands`` takes them.
+        """
+        self.sent = SentCommands(vehicle, period_ns)
+        """Commands in force, by time."""
         self.coefficients = np.array(vehicle.coefficients())
         """(21,) coefficients of the vehicle."""
         self._shares = np.ones(3)  # of their reported thrust that the thrusters deliver
@@ -150,40 +283,38 @@ class Prediction:
         if newest is None or applied.t_ns > newest.t_ns:
             self._later_reports.append(Report(applied.t_ns, np.array(applied.thrust_N)))
 
-    def state_at(self, estimate: Estimate, t_ns: int, commands: SentCommands) -> Start:
+    def state_at(self, estimate: Estimate, t_ns: int) -> Start:
         """Return the predicted state of the vehicle.
 
         Parameters
         ----------
         estimate : where the prediction begins; its current profile is used.
         t_ns : time of the state, vehicle time (ns); at least the estimate's own time is taken.
-        commands : commands in force from the estimate's time on.
         """
         t_ns = max(t_ns, estimate.t_ns)
         profile = profile_of(estimate)
         end = predict_state(
             self.coefficients,
-            self.measured(estimate, commands),
+            self.measured(estimate),
             t_ns,
-            self.delivered(commands),
+            self.delivered,
             (profile.depth_m, profile.north_mps, profile.east_mps),
         )
         return Start(t_ns, end[:10], *end[10:].tolist())
 
-    def measured(self, estimate: Estimate, commands: SentCommands) -> Measured:
+    def measured(self, estimate: Estimate) -> Measured:
         """Return the inputs of ``predict_state`` that belong to one estimate.
 
         Parameters
         ----------
         estimate : not older than that of the last call. The newest report of the actuators that is not newer than it
-            belongs to it.
-        commands : commands in force. Without such a report the thrusters are taken to have delivered the first of them.
+            belongs to it. Without one the thrusters are taken to have delivered the first of the commands.
         """
         while self._later_reports and self._later_reports[0].t_ns <= estimate.t_ns:
             self._report = self._later_reports.popleft()
         report = self._report
         if report is None or report.t_ns > estimate.t_ns:
-            report = Report(*commands.oldest)
+            report = Report(*self.sent.oldest)
         flat = np.array(
             (
                 estimate.north_m,
@@ -198,14 +329,10 @@ class Prediction:
         )
         return estimate.t_ns, flat, report.t_ns, report.thrust_N * self._shares
 
-    def delivered(self, commands: SentCommands) -> Commands:
-        """Return the commands times the share of them that each thruster delivers.
-
-        Parameters
-        ----------
-        commands : as sent.
-        """
-        t, thrust = commands.knots
+    @property
+    def delivered(self) -> Commands:
+        """Commands times the share of them that each thruster delivers."""
+        t, thrust = self.sent.knots
         return t, thrust * self._shares
 
 
@@ -320,9 +447,9 @@ def advance(vehicle: Vehicle, estimate: Estimate, plan: Plan, *, duration_s: flo
     duration_s : time to advance (s).
     """
     vehicle, estimate = exact(vehicle), exact(estimate)
-    commands = SentCommands(vehicle)
-    commands.add(plan, before_N=plan.initial_thrust_N)
-    end = Prediction(vehicle).state_at(estimate, estimate.t_ns + round(duration_s * 1e9), commands)
+    prediction = Prediction(vehicle)
+    prediction.sent.add(plan, before_N=plan.initial_thrust_N)
+    end = prediction.state_at(estimate, estimate.t_ns + round(duration_s * 1e9))
     return as_estimate(end, estimate)
 
 
@@ -366,21 +493,18 @@ COLUMN_OF = (0, 1, 4, 5, 2, 3)
 """Place of north, east, velocity north and east, heading, yaw rate in the estimate of ``prediction.Measured``."""
 
 
-def growth_m(
-    prediction: Prediction, estimate: Estimate, t_ns: int, commands: SentCommands, bias_covariance: Array
-) -> float:
+def growth_m(prediction: Prediction, estimate: Estimate, t_ns: int, bias_covariance: Array) -> float:
     """Return the growth of the standard deviation of the predicted horizontal position (m).
 
     Parameters
     ----------
-    prediction : knows the vehicle and the actuators' reports.
+    prediction : knows the vehicle, the commands in force and the actuators' reports.
     estimate : where the prediction begins, with the bias in its current.
     t_ns : time of the predicted position, vehicle time (ns).
-    commands : commands in force from the estimate's time on.
     bias_covariance : (2, 2) of the mean since the estimate of the bias of its current (m2/s2).
     """
-    since_ns, state, report_ns, thrust_N = prediction.measured(estimate, commands)
-    times, commanded_N = prediction.delivered(commands)
+    since_ns, state, report_ns, thrust_N = prediction.measured(estimate)
+    times, commanded_N = prediction.delivered
     profile = profile_of(estimate)
 
     def _position(state: Array = state, current: tuple[float, float] = (0.0, 0.0), gain: Array | float = 1.0) -> Array:

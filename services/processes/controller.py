@@ -20,7 +20,6 @@ from ltv_mpc.control.failed_qp import NamedQp
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.control.ocp import assembly
 from ltv_mpc.control.ocp.problem import Problem
-from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.control.solvers import Solver, make
 from ltv_mpc.control.solvers.interface import Result
 from ltv_mpc.control.solvers.recorder import QpRecorder, RecordingSolver
@@ -33,8 +32,6 @@ from ltv_mpc.messages import (
     Estimate,
     Manual,
     Message,
-    Plan,
-    PlanOrigin,
     RejectedFrame,
     Solve,
     SolveStatus,
@@ -220,9 +217,6 @@ def warm_up(vehicle: Vehicle, reference: Reference, config: ControllerConfig) ->
         node.step(t_ns, [ReceivedMessage(message, 1, k, t_ns) for message in messages])
     for missed_s in (2.0, 12.0, 30.0):  # prediction, hold, failsafe
         node.step(t_ns + round(missed_s * 1e9), [])
-    sent = SentCommands(vehicle)
-    sent.correct(0, (0.0, 0.0, 0.0))  # these cycles have no report of the actuators
-    sent.at(np.zeros(1, dtype=np.int64))  # nor do they keep a depth
     thrust_loss_detector.warm_up()
 
 
@@ -231,12 +225,3 @@ def warm_up_solver(vehicle: Vehicle, config: ResolvedConfig) -> None:
     solver, problem = make(vehicle, config), assembly.empty(config.stages)
     problem.H[:, :, :] = np.eye(problem.H.shape[1])
     solver.solve(problem, math.nan)
-    plan = Plan(
-        cycle_t_ns=0,
-        t_ns=np.arange(2, dtype=np.int64),
-        thrust_N=np.ones((2, 3)),
-        states=np.zeros((2, 6)),
-        origin=PlanOrigin.SOLVED,
-        solve=Solve(status=SolveStatus.SOLVED),
-    )
-    SentCommands(vehicle).add(plan)

@@ -14,7 +14,6 @@ from ltv_mpc.control.config import ResolvedConfig, Weights
 from ltv_mpc.control.lateral import LateralPlanner
 from ltv_mpc.control.linearisation import Linearisation
 from ltv_mpc.control.prediction import Prediction, Start, as_estimate
-from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.messages import Applied, Array
 from tests.ltv_mpc.control.problems import Form
 from tests.ltv_mpc.reports import report
@@ -40,11 +39,11 @@ def descend(
     estimate = Estimate.at_rest(depth_m=0.0, **(start or {}))
     estimate = msgspec.structs.replace(estimate, current=rough_current(seed))
     estimates, plans = [estimate], []
-    commands, vehicle = SentCommands(PAPER), Prediction(PAPER)
+    vehicle = Prediction(PAPER)
     for _ in range(cycles):
         plan = controller.plan(estimate)
-        commands.add(plan)
-        end = vehicle.state_at(estimate, estimate.t_ns + 300_000_000, commands)
+        vehicle.sent.add(plan)
+        end = vehicle.state_at(estimate, estimate.t_ns + 300_000_000)
         vehicle.add_report(applied(end))
         controller.add_report(applied(end))
         estimate = as_estimate(end, estimate)

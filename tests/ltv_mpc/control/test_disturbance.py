@@ -13,7 +13,6 @@ from ltv_mpc.control.config import Disturbance
 from ltv_mpc.control.disturbance import DOUBTED_ESTIMATES, DisturbanceObserver, heading_free_mps
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.control.prediction import Prediction, as_estimate
-from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.messages import Action, Plan
 from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.vehicle.reference_point import ReferencePoint
@@ -49,12 +48,12 @@ def held(
         velocity_east_mps=WATER[1],
         current=flat(WATER),
     )
-    commands, vehicle = SentCommands(PAPER), Prediction(PAPER)
+    vehicle = Prediction(PAPER)
     force, off = [], []
     for _ in range(cycles):
         plan = controller.plan(msgspec.structs.replace(truth, current=known))
-        commands.add(plan)
-        truth = as_estimate(vehicle.state_at(truth, truth.t_ns + 300_000_000, commands), truth)
+        vehicle.sent.add(plan)
+        truth = as_estimate(vehicle.state_at(truth, truth.t_ns + 300_000_000), truth)
         blown_mps = truth.velocity_north_mps + 0.3 * wind_mps2
         truth = msgspec.structs.replace(truth, velocity_north_mps=blown_mps)
         force.append(np.abs(plan.thrust_N[0, :2]).mean())
@@ -87,26 +86,26 @@ def test_no_offset_stays_where_a_profile_or_the_wind_contradicts_the_model(wrong
 
 def test_the_bias_survives_an_estimate_with_a_profile():
     """It is used again after that estimate, and is not updated across it."""
-    bias, commands, vehicle = DisturbanceObserver(DEFAULT, PAPER), SentCommands(PAPER), Prediction(PAPER)
+    bias, vehicle = DisturbanceObserver(DEFAULT, PAPER), Prediction(PAPER)
     estimate = msgspec.structs.replace(Estimate.at_rest(), velocity_north_mps=0.2)
     for i in range(50):
-        bias.correct(msgspec.structs.replace(estimate, t_ns=i * 300_000_000), vehicle, commands)
+        bias.correct(msgspec.structs.replace(estimate, t_ns=i * 300_000_000), vehicle)
     learned = bias.bias_mps.copy()
     assert learned[0] > 0.05
     known = msgspec.structs.replace(estimate, t_ns=50 * 300_000_000, current=flat(WATER))
-    assert bias.correct(known, vehicle, commands) is known
-    again = bias.correct(msgspec.structs.replace(estimate, t_ns=51 * 300_000_000), vehicle, commands)
+    assert bias.correct(known, vehicle) is known
+    again = bias.correct(msgspec.structs.replace(estimate, t_ns=51 * 300_000_000), vehicle)
     assert again.current.north_mps[0] == learned[0]
 
 
 @pytest.mark.parametrize(("share", "used"), [(0.25, 0.0), (0.4, 0.5 / 1.5), (0.6, 1.0)])
 def test_an_untold_current_is_used_beyond_what_a_wrong_drag_looks_like(share, used):
     """Share of the speed below which the heading is free. A current that is not there would turn with the hull."""
-    observer, commands, vehicle = DisturbanceObserver(DEFAULT, PAPER), SentCommands(PAPER), Prediction(PAPER)
+    observer, vehicle = DisturbanceObserver(DEFAULT, PAPER), Prediction(PAPER)
     belief = observer.save()
     belief.mean[0] = share * heading_free_mps(PAPER)
     observer.restore(belief, 0)
-    told = observer.correct(Estimate.at_rest(), vehicle, commands, learns=False).current
+    told = observer.correct(Estimate.at_rest(), vehicle, learns=False).current
     np.testing.assert_allclose(told.north_mps, used * belief.mean[0], atol=1e-12)
 
 
@@ -118,10 +117,10 @@ def test_the_bias_is_added_to_the_profile():
 
 def drifting(seconds: float, steps: int, settings: Disturbance = ON, **changes: float):
     """Return the observer after ``steps`` estimates without a profile of a vehicle without thrust."""
-    bias, commands, vehicle = DisturbanceObserver(settings, PAPER), SentCommands(PAPER), Prediction(PAPER)
+    bias, vehicle = DisturbanceObserver(settings, PAPER), Prediction(PAPER)
     estimate = msgspec.structs.replace(Estimate.at_rest(), **changes)
     for i in range(steps):
-        corrected = bias.correct(msgspec.structs.replace(estimate, t_ns=round(i * seconds * 1e9)), vehicle, commands)
+        corrected = bias.correct(msgspec.structs.replace(estimate, t_ns=round(i * seconds * 1e9)), vehicle)
     return bias, corrected
 
 
@@ -139,12 +138,12 @@ def test_over_a_long_interval_the_bias_is_not_updated():
 @pytest.mark.parametrize(("sinks_m", "variance"), [(0.0, 9e-6 * 9.0), (2.0, 9e-6 * 9.0 + 4e-4 * 2.0)])
 def test_over_a_long_interval_the_bias_becomes_less_certain(sinks_m: float, variance: float):
     """By hand: a random walk of 3 mm/s per sqrt(s) over 9 s, and one of 2 cm/s per sqrt(m) over the change of depth."""
-    bias, commands, vehicle = DisturbanceObserver(ON, PAPER), SentCommands(PAPER), Prediction(PAPER)
+    bias, vehicle = DisturbanceObserver(ON, PAPER), Prediction(PAPER)
     estimate = msgspec.structs.replace(Estimate.at_rest(depth_m=5.0), velocity_north_mps=0.2)
     for i in range(50):
-        bias.correct(msgspec.structs.replace(estimate, t_ns=i * 300_000_000), vehicle, commands)
+        bias.correct(msgspec.structs.replace(estimate, t_ns=i * 300_000_000), vehicle)
     before, late_ns = bias.covariance, 49 * 300_000_000 + 9_000_000_000
-    bias.correct(msgspec.structs.replace(estimate, t_ns=late_ns, depth_m=5.0 + sinks_m), vehicle, commands)
+    bias.correct(msgspec.structs.replace(estimate, t_ns=late_ns, depth_m=5.0 + sinks_m), vehicle)
     np.testing.assert_allclose(bias.covariance - before, variance * np.eye(2), rtol=1e-6, atol=1e-12)
 
 
@@ -165,12 +164,12 @@ def noisy(sd_mps: float, speed_mps: float = 0.0) -> Iterator[Estimate]:
 def test_the_noise_of_a_navigation_filter_is_not_taken_for_a_current():
     """The velocity error has 1 cm/s rms, as the covariance says."""
     knowing, sure = DisturbanceObserver(ON, PAPER), DisturbanceObserver(ON, PAPER)
-    commands, vehicle = SentCommands(PAPER), Prediction(PAPER)
+    vehicle = Prediction(PAPER)
     largest, errors = {knowing: 0.0, sure: 0.0}, []
     for estimate in noisy(0.01):
         certain = np.diag([1.0, 1.0, 1e-4, 1e-4, 1e-4, 1e-6])
-        knowing.correct(msgspec.structs.replace(estimate, covariance=certain), vehicle, commands)
-        sure.correct(estimate, vehicle, commands)
+        knowing.correct(msgspec.structs.replace(estimate, covariance=certain), vehicle)
+        sure.correct(estimate, vehicle)
         for bias in largest:
             largest[bias] = max(largest[bias], float(np.hypot(*bias.bias_mps)))
         errors.append(knowing.model_error_mps2)
@@ -181,41 +180,41 @@ def test_the_noise_of_a_navigation_filter_is_not_taken_for_a_current():
 @pytest.mark.parametrize("speed_mps", [0.03, 0.2])
 def test_the_noise_of_a_navigation_filter_is_no_error_of_its_profile(speed_mps):
     """Its velocity differs from its profile by 3 mm/s rms, as in the descents."""
-    observer, commands, vehicle = DisturbanceObserver(DEFAULT, PAPER), SentCommands(PAPER), Prediction(PAPER)
+    observer, vehicle = DisturbanceObserver(DEFAULT, PAPER), Prediction(PAPER)
     drag_N = PAPER.surge.quadratic_damping_kgpm * speed_mps**2 / 2.0
     for given in noisy(0.003, speed_mps):
-        commands.add(pushing(given.t_ns, (drag_N, drag_N)))
+        vehicle.sent.add(pushing(given.t_ns, (drag_N, drag_N)))
         certain = np.diag([1.0, 1.0, 25e-6, 25e-6, 1e-4, 1e-6])
-        current = observer.correct(msgspec.structs.replace(given, covariance=certain), vehicle, commands).current
+        current = observer.correct(msgspec.structs.replace(given, covariance=certain), vehicle).current
         # 0.007 where the bias is always used
         assert np.hypot(current.north_mps[0] - WATER[0], current.east_mps[0] - WATER[1]) < 0.002
 
 
 def test_a_negative_variance_of_the_velocity_does_not_stop_the_controller():
-    bias, commands, vehicle = DisturbanceObserver(ON, PAPER), SentCommands(PAPER), Prediction(PAPER)
+    bias, vehicle = DisturbanceObserver(ON, PAPER), Prediction(PAPER)
     for k in range(3):
         estimate = msgspec.structs.replace(Estimate.at_rest(), t_ns=k * 300_000_000, covariance=-np.eye(6))
-        bias.correct(estimate, vehicle, commands)
+        bias.correct(estimate, vehicle)
     assert np.isfinite(bias.covariance).all()
 
 
 def test_a_nan_velocity_is_ignored_and_the_bias_is_bounded():
-    bias, commands, vehicle = DisturbanceObserver(ON, PAPER), SentCommands(PAPER), Prediction(PAPER)
+    bias, vehicle = DisturbanceObserver(ON, PAPER), Prediction(PAPER)
     first = Estimate.at_rest()
-    bias.correct(first, vehicle, commands)
+    bias.correct(first, vehicle)
     broken = msgspec.structs.replace(first, t_ns=300_000_000, velocity_north_mps=float("nan"))
-    bias.correct(broken, vehicle, commands)
+    bias.correct(broken, vehicle)
     np.testing.assert_array_equal(bias.bias_mps, 0.0)
     tight = DisturbanceObserver(Disturbance(sd_mps=0.1, max_mps=0.01), PAPER)
     estimate = msgspec.structs.replace(first, velocity_north_mps=0.2)
     for i in range(50):
-        tight.correct(msgspec.structs.replace(estimate, t_ns=i * 300_000_000), vehicle, commands)
+        tight.correct(msgspec.structs.replace(estimate, t_ns=i * 300_000_000), vehicle)
     assert tight.bias_mps[0] == 0.01
 
 
 def test_a_current_that_changes_with_time_as_the_profile_says_needs_no_bias():
     """By hand: without thrust, 500 u' = -500 u|u| - 200 c' along the heading; c has an amplitude of 5 cm/s in 60 s."""
-    bias, commands, vehicle = DisturbanceObserver(ON, PAPER), SentCommands(PAPER), Prediction(PAPER)
+    bias, vehicle = DisturbanceObserver(ON, PAPER), Prediction(PAPER)
     heading, u, step_s = 0.7, 0.0, 1e-3
     along = np.array([np.cos(heading), np.sin(heading)])
     current = lambda t_s: 0.05 * np.sin(2.0 * np.pi * t_s / 60.0)  # noqa: E731
@@ -230,7 +229,7 @@ def test_a_current_that_changes_with_time_as_the_profile_says_needs_no_bias():
                 velocity_east_mps=east,
                 current=flat(current(t_s) * along),
             )
-            bias.correct(estimate, vehicle, commands)
+            bias.correct(estimate, vehicle)
         u += -u * abs(u) * step_s - 0.4 * (current(t_s + step_s) - current(t_s))
     assert abs(u) > 0.005  # the change of the current has moved it through the water
     np.testing.assert_allclose(bias.bias_mps, 0.0, atol=1e-3)
@@ -238,12 +237,12 @@ def test_a_current_that_changes_with_time_as_the_profile_says_needs_no_bias():
 
 def test_a_thruster_in_doubt_teaches_no_current():
     """The bias of the last seconds is taken back, and it learns again after the doubt."""
-    bias, commands, vehicle = DisturbanceObserver(ON, PAPER), SentCommands(PAPER), Prediction(PAPER)
+    bias, vehicle = DisturbanceObserver(ON, PAPER), Prediction(PAPER)
     estimate = msgspec.structs.replace(Estimate.at_rest(), velocity_north_mps=0.2)
     seen = []
     for i in range(60):
         bias.thrust_in_doubt = 40 <= i < 50
-        bias.correct(msgspec.structs.replace(estimate, t_ns=i * 300_000_000), vehicle, commands)
+        bias.correct(msgspec.structs.replace(estimate, t_ns=i * 300_000_000), vehicle)
         seen.append(bias.bias_mps[0])
     assert seen[39 - DOUBTED_ESTIMATES] < seen[39 - DOUBTED_ESTIMATES + 1] < seen[39]  # it was learning
     assert set(seen[40:50]) == {seen[40 - DOUBTED_ESTIMATES]}
@@ -255,17 +254,17 @@ def largest_bias(share: float) -> float:
     node = ControllerNode(PAPER, HURRYING, ControllerConfig(disturbance=ON))
     node.arbiter.request(Action.ARM)
     truth = msgspec.structs.replace(Estimate.at_rest(depth_m=0.0), current=flat(np.zeros(2)))
-    commands, vehicle, reported, largest = SentCommands(PAPER), Prediction(PAPER), np.zeros(3), 0.0
+    vehicle, reported, largest = Prediction(PAPER), np.zeros(3), 0.0
     for k in range(80):
         t_ns = k * 300_000_000
         shares = (share if k >= 40 else 1.0, 1.0)
         vehicle.set_shares(shares)
-        applied = report(t_ns, reported, commands.at(np.array([t_ns]))[0])
+        applied = report(t_ns, reported, vehicle.sent.at(np.array([t_ns]))[0])
         vehicle.add_report(applied)
         inbox = [ReceivedMessage(applied, 1, k, t_ns), ReceivedMessage(truth, 1, k, t_ns)]
         (plan,) = (message for message in node.step(t_ns, inbox) if isinstance(message, Plan))
-        commands.add(plan)
-        end = vehicle.state_at(truth, t_ns + 300_000_000, commands)
+        vehicle.sent.add(plan)
+        end = vehicle.state_at(truth, t_ns + 300_000_000)
         truth, reported = as_estimate(end, truth), np.array([*end.X[6:] / shares, end.vertical_N])
         learned, _ = node.controller.observer.current
         largest = max(largest, float(np.hypot(*learned)))
@@ -289,20 +288,18 @@ def test_a_current_of_three_standard_deviations_is_learned_in_the_first_seconds(
 @pytest.mark.parametrize("arm_m", [(0.0, 0.0), (0.05, 0.0), (-0.25, 0.0), (0.0, 0.15), (0.1, -0.2)])
 def test_the_lever_arm_to_the_estimated_point_is_learned_while_the_vehicle_turns(arm_m, known):
     """The corrected estimates are then those of the origin, and a current that is not known is learned beside it."""
-    observer, commands, vehicle = DisturbanceObserver(DEFAULT, PAPER), SentCommands(PAPER), Prediction(PAPER)
+    observer, vehicle = DisturbanceObserver(DEFAULT, PAPER), Prediction(PAPER)
     truth = msgspec.structs.replace(Estimate.at_rest(), velocity_north_mps=WATER[0], velocity_east_mps=WATER[1])
     truth = msgspec.structs.replace(truth, current=flat(WATER))
     away = ReferencePoint(forward_m=-arm_m[0], starboard_m=-arm_m[1])  # its origin is the point that is estimated
     for k in range(200):
         side_N = 20.0 * np.sin(0.2 * k)
-        commands.add(pushing(truth.t_ns, (10.0 + side_N, 10.0 - side_N)))
+        vehicle.sent.add(pushing(truth.t_ns, (10.0 + side_N, 10.0 - side_N)))
         given = away.to_origin(truth)
-        corrected = observer.correct(
-            given if known else msgspec.structs.replace(given, current=None), vehicle, commands
-        )
+        corrected = observer.correct(given if known else msgspec.structs.replace(given, current=None), vehicle)
         if k == 199:
             break
-        truth = as_estimate(vehicle.state_at(truth, truth.t_ns + 300_000_000, commands), truth)
+        truth = as_estimate(vehicle.state_at(truth, truth.t_ns + 300_000_000), truth)
     state = observer.save()
     mean, covariance = state.mean[2:4], state.covariance[2:4, 2:4]
     np.testing.assert_allclose(mean, arm_m, atol=0.03)
@@ -335,7 +332,7 @@ FORWARD = 0.2 / (0.2 - 0.15j)
 def test_the_estimated_point_is_held_along_the_water_and_at_rest_its_forward_part(water, heading, yaw_radps, held):
     """A target that turns with the vehicle would make it turn for ever."""
     arm = np.array([0.2, -0.15])
-    observer, commands, vehicle = DisturbanceObserver(DEFAULT, PAPER), SentCommands(PAPER), Prediction(PAPER)
+    observer, vehicle = DisturbanceObserver(DEFAULT, PAPER), Prediction(PAPER)
     belief = observer.save()
     belief.mean[2:4], belief.covariance[2:4, 2:4] = arm, 1e-6 * np.eye(2)
     observer.restore(belief, 0)
@@ -348,7 +345,7 @@ def test_the_estimated_point_is_held_along_the_water_and_at_rest_its_forward_par
     )
     for k in range(400):
         given = msgspec.structs.replace(given, t_ns=k * 300_000_000, current=flat(np.array(water)))
-        corrected = observer.correct(given, vehicle, commands, learns=False)
+        corrected = observer.correct(given, vehicle, learns=False)
     origin = complex(*arm) * (held - np.exp(1j * heading))
     np.testing.assert_allclose((corrected.north_m, corrected.east_m), (origin.real, origin.imag), atol=0.004)
 
@@ -356,7 +353,7 @@ def test_the_estimated_point_is_held_along_the_water_and_at_rest_its_forward_par
 @pytest.mark.parametrize("period_s", [3.0, 5.0, 7.0])
 def test_waves_are_no_current_no_arm_and_no_other_vehicle_and_the_vehicle_yields_to_them(period_s):
     """It drifts with the water and turns its bow slowly through the direction of the waves; then they end."""
-    observer, commands, vehicle = DisturbanceObserver(DEFAULT, PAPER), SentCommands(PAPER), Prediction(PAPER)
+    observer, vehicle = DisturbanceObserver(DEFAULT, PAPER), Prediction(PAPER)
     rate, speed_mps, slow = 2.0 * np.pi / period_s, 0.08, []
     for k in range(500):
         t_s = 0.3 * k
@@ -366,7 +363,7 @@ def test_waves_are_no_current_no_arm_and_no_other_vehicle_and_the_vehicle_yields
             t_ns=k * 300_000_000, north_m=0.6 * moved, east_m=0.8 * moved, velocity_north_mps=0.6 * moving,
             velocity_east_mps=0.8 * moving, heading_rad=0.02 * t_s, yaw_rate_radps=0.02, depth_m=1.0,
         )  # fmt: skip
-        corrected = observer.correct(given, vehicle, commands)
+        corrected = observer.correct(given, vehicle)
         slow.append((corrected.north_m, corrected.east_m, corrected.velocity_north_mps, corrected.velocity_east_mps))
         if t_s == pytest.approx(84.0):
             x_m, v_mps = np.std(slow[-100:], axis=0).reshape(2, 2).max(axis=1)
@@ -383,10 +380,10 @@ def test_waves_are_no_current_no_arm_and_no_other_vehicle_and_the_vehicle_yields
 
 
 def test_a_steady_course_shows_no_lever_arm():
-    observer, commands, vehicle = DisturbanceObserver(DEFAULT, PAPER), SentCommands(PAPER), Prediction(PAPER)
+    observer, vehicle = DisturbanceObserver(DEFAULT, PAPER), Prediction(PAPER)
     estimate = msgspec.structs.replace(Estimate.at_rest(), velocity_north_mps=0.2)
     for k in range(100):
-        observer.correct(msgspec.structs.replace(estimate, t_ns=k * 300_000_000), vehicle, commands)
+        observer.correct(msgspec.structs.replace(estimate, t_ns=k * 300_000_000), vehicle)
     state = observer.save()
     mean, covariance = state.mean[2:4], state.covariance[2:4, 2:4]
     np.testing.assert_allclose(mean, 0.0, atol=1e-6)
@@ -402,14 +399,15 @@ def pushing(t_ns: int, thrust_N: tuple[float, float]) -> Plan:
 def test_an_acceleration_that_is_not_explained_is_the_model_s_error(share: float):
     """Both thrusters of a vehicle at rest push, and deliver a share of what they report; nothing is learned."""
     observer = DisturbanceObserver(Disturbance(sd_mps=0.0, model_sd=0.0, lever_arm_sd_m=0.0), PAPER)
-    commands, vehicle, model = SentCommands(PAPER), Prediction(PAPER), Prediction(PAPER)
+    vehicle, model = Prediction(PAPER), Prediction(PAPER)
+    model.sent = vehicle.sent
     vehicle.set_shares((share, share))
     estimate, wrong = msgspec.structs.replace(Estimate.at_rest(), current=flat(np.zeros(2))), []
     for k in range(60):
-        commands.add(pushing(estimate.t_ns, (5.0, 5.0) if k < 20 else (0.0, 0.0)))
-        observer.correct(estimate, model, commands)
+        vehicle.sent.add(pushing(estimate.t_ns, (5.0, 5.0) if k < 20 else (0.0, 0.0)))
+        observer.correct(estimate, model)
         wrong.append(observer.model_error_mps2)
-        estimate = as_estimate(vehicle.state_at(estimate, estimate.t_ns + 300_000_000, commands), estimate)
+        estimate = as_estimate(vehicle.state_at(estimate, estimate.t_ns + 300_000_000), estimate)
     missing_mps2 = (1.0 - share) * 10.0 / PAPER.coefficients().mass_surge
     assert 0.7 * missing_mps2 <= max(wrong) <= missing_mps2 + 1e-6  # less the noise
     assert wrong[-1] == pytest.approx(max(wrong) * np.exp(-12.0 / 30.0), rel=0.1, abs=1e-6)  # 12 s later

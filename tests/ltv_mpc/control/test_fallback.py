@@ -10,8 +10,7 @@ import pytest
 
 from ltv_mpc import Controller, ControllerConfig, Estimate, Plan, PlanOrigin, SolveStatus, Vehicle, advance, references
 from ltv_mpc.control import nominal
-from ltv_mpc.control.prediction import Prediction
-from ltv_mpc.control.sent_commands import SentCommands
+from ltv_mpc.control.prediction import Prediction, SentCommands
 from ltv_mpc.control.solvers import make
 from ltv_mpc.control.solvers.osqp import OsqpSolver
 from ltv_mpc.control.solvers.recorder import QpRecorder, RecordingSolver

@@ -15,7 +15,6 @@ from ltv_mpc.control.ocp.limits import ROWS
 from ltv_mpc.control.ocp.problem import Problem
 from ltv_mpc.control.prediction import Prediction, advance
 from ltv_mpc.control.scaling import characteristic_scales
-from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.control.solvers import Result, Solver, make
 from ltv_mpc.control.solvers.recorder import RecordingSolver
 from ltv_mpc.errors import ConfigError
@@ -158,7 +157,7 @@ def test_between_walls_that_are_too_near_for_their_margins_the_hull_stays_free()
 def test_a_report_says_what_the_hull_is_in_and_how_many_rows_a_plan_lacks() -> None:
     fencing, estimate = Fencing(CRAFT, np.arange(3) * 300_000_000), drifting()
     fencing.set_fence(disc(10.0, 0.0, 3.0))
-    start = Prediction(CRAFT).state_at(estimate, estimate.t_ns, SentCommands(CRAFT, 300_000_000))
+    start = Prediction(CRAFT).state_at(estimate, estimate.t_ns)
     fencing.update(start, estimate, 0.0)
     for gap_m, in_margin, inside, exceeded in ((0.6, 0, 0, 0), (0.4, 1, 0, 1), (-0.1, 1, 1, 1)):
         X = np.zeros((3, 6))
@@ -357,7 +356,7 @@ def test_margins_grow_by_what_the_model_s_error_carries_the_vehicle_until_it_sto
     fencing.set_fence(disc(100.0, 0.0, 3.0))
     needed_m = []
     for share in (0.0, 0.5, 1.0):
-        start = Prediction(CRAFT).state_at(drifting(), 0, SentCommands(CRAFT, 300_000_000))
+        start = Prediction(CRAFT).state_at(drifting(), 0)
         start.lateral[2] = share * scales.speed_mps
         fencing.update(start, drifting(), 0.0, 0.02)
         needed_m.append(float(fencing.scene.need[0]) - HULL_M - 0.5)

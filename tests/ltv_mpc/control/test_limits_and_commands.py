@@ -12,8 +12,8 @@ from hypothesis.extra.numpy import arrays
 from ltv_mpc import Vehicle
 from ltv_mpc.control.config import Weights
 from ltv_mpc.control.ocp.limits import clip_to_limits
+from ltv_mpc.control.prediction import SentCommands
 from ltv_mpc.control.problem_data import Constants
-from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.messages import Array
 from ltv_mpc.safety.plan_gate import PlanGate, PlanVerdict
 from tests.ltv_mpc.plans import plan_of as plan

@@ -9,8 +9,7 @@ from scipy.integrate import solve_ivp
 
 from ltv_mpc import CurrentProfile, Estimate, Vehicle
 from ltv_mpc.control.delay import Delay
-from ltv_mpc.control.prediction import Prediction, currents_at_depths
-from ltv_mpc.control.sent_commands import SentCommands
+from ltv_mpc.control.prediction import Prediction, SentCommands, currents_at_depths
 from ltv_mpc.messages import Applied, CycleTiming
 from ltv_mpc.vehicle.dynamics import heave_acceleration, rates
 from tests.ltv_mpc.plans import plan_of
@@ -26,10 +25,10 @@ PROFILE = CurrentProfile(
 )
 
 
-def sent() -> SentCommands:
-    commands = SentCommands(PAPER)
-    commands.add(plan_of(0, [[0, 0, 0], [25, -10, 30], [5, 20, 60], [-20, 30, 62.5], [-20, 30, 62.5]]))
-    return commands
+def sent() -> Prediction:
+    prediction = Prediction(PAPER)
+    prediction.sent.add(plan_of(0, [[0, 0, 0], [25, -10, 30], [5, 20, 60], [-20, 30, 62.5], [-20, 30, 62.5]]))
+    return prediction
 
 
 def estimate(t_ns: int) -> Estimate:
@@ -52,14 +51,14 @@ def applied(t_ns: int, thrust=(0.0, 0.0, 0.0), **changes) -> Applied:
 
 
 def test_the_prediction_agrees_with_an_independent_integration():
-    commands, prediction = sent(), Prediction(PAPER)
+    prediction = sent()
     prediction.add_report(applied(100_000_000, (8.0, -3.0, 10.0)))
-    start = prediction.state_at(estimate(200_000_000), 1_000_000_000, commands)
+    start = prediction.state_at(estimate(200_000_000), 1_000_000_000)
     c0 = currents_at_depths(PROFILE, np.array([10.2]))[0]
     turn = np.exp(-1j * 0.7) * ((0.1 - c0[0]) + 1j * (0.02 - c0[1]))
 
     def rhs(t, y):
-        u = commands.at(np.array([round(t * 1e9)]))[0]
+        u = prediction.sent.at(np.array([round(t * 1e9)]))[0]
         c = currents_at_depths(PROFILE, y[8:9])[0]
         slope = (currents_at_depths(PROFILE, y[8:9] + 1e-6)[0] - currents_at_depths(PROFILE, y[8:9] - 1e-6)[0]) / 2e-6
         dx = rates(*y[2:8], *c, *slope * y[9], P)
@@ -67,7 +66,7 @@ def test_the_prediction_agrees_with_an_independent_integration():
         return np.concatenate([dx, lateral, [y[9], heave_acceleration(y[9], y[10], P), (u[2] - y[10]) / 0.3]])
 
     def lag(t, F):
-        return (commands.at(np.array([round(t * 1e9)]))[0] - F) / 0.3
+        return (prediction.sent.at(np.array([round(t * 1e9)]))[0] - F) / 0.3
 
     # the thrust reported at 0.1 s is first brought to the estimate's time
     F = solve_ivp(lag, (0.1, 0.2), [8.0, -3.0, 10.0], max_step=0.01, rtol=1e-9).y[:, -1]
@@ -76,7 +75,7 @@ def test_the_prediction_agrees_with_an_independent_integration():
     np.testing.assert_allclose(start.X[:6], want[:6], atol=2e-4)
     np.testing.assert_allclose(start.X[6:], want[6:8], atol=1e-3)
     np.testing.assert_allclose([start.depth_m, start.sinking_mps, start.vertical_N], want[8:], atol=1e-3)
-    np.testing.assert_allclose(start.command, commands.at(np.array([1_000_000_000]))[0])
+    np.testing.assert_allclose(start.command, prediction.sent.at(np.array([1_000_000_000]))[0])
 
 
 @pytest.mark.parametrize("lag_s", [0.1, 3.0])
@@ -90,13 +89,13 @@ def test_without_reports_the_thrust_follows_the_lag_from_rest_before_the_first_p
         starboard=msgspec.structs.replace(PAPER.thruster.starboard, **slow),
     )
     vehicle = msgspec.structs.replace(PAPER, thruster=thruster)
-    commands = SentCommands(vehicle)
+    prediction = Prediction(vehicle)
     for k in range(100):  # of a plan a cycle the older ones are forgotten
-        commands.add(plan_of(k * 300_000_000, np.full((2, 3), 50.0)))
+        prediction.sent.add(plan_of(k * 300_000_000, np.full((2, 3), 50.0)))
         if seconds <= 0.3 * (k + 1):
             break
     now = msgspec.structs.replace(estimate(round(seconds * 1e9)), depth_m=None)
-    start = Prediction(vehicle).state_at(now, now.t_ns, commands)
+    start = prediction.state_at(now, now.t_ns)
     np.testing.assert_allclose(start.X[6:], 50.0 * (1.0 - np.exp(-seconds / lag_s)), atol=0.02)
 
 
@@ -112,23 +111,23 @@ def test_commands_are_kept_for_eight_lags_and_since_the_estimate_in_use(lag_s: f
 
 
 def test_a_report_newer_than_the_estimate_does_not_hide_the_one_before_it():
-    prediction, commands = Prediction(PAPER), sent()
+    prediction = sent()
     prediction.add_report(applied(200_000_000, (1.0, 2.0, 3.0)))
     prediction.add_report(applied(300_000_000, (40.0, 40.0, 40.0)))
-    start = prediction.state_at(estimate(200_000_000), 200_000_000, commands)
+    start = prediction.state_at(estimate(200_000_000), 200_000_000)
     np.testing.assert_allclose([*start.X[6:], start.vertical_N], [1.0, 2.0, 3.0])
 
 
 def test_the_report_before_the_estimate_in_use_is_kept_however_many_follow():
     """Twenty seconds of reports at 13 Hz without a new estimate."""
-    prediction, commands = Prediction(PAPER), sent()
+    prediction = sent()
     prediction.add_report(applied(200_000_000, (1.0, 2.0, 3.0)))
-    prediction.state_at(estimate(200_000_000), 200_000_000, commands)
+    prediction.state_at(estimate(200_000_000), 200_000_000)
     for k in range(1, 261):
         prediction.add_report(applied(200_000_000 + k * 77_000_000, (40.0, 40.0, 40.0)))
-        start = prediction.state_at(estimate(200_000_000), 200_000_000, commands)
+        start = prediction.state_at(estimate(200_000_000), 200_000_000)
     np.testing.assert_allclose([*start.X[6:], start.vertical_N], [1.0, 2.0, 3.0])
-    start = prediction.state_at(estimate(20_000_000_000), 20_000_000_000, commands)  # of the reports since
+    start = prediction.state_at(estimate(20_000_000_000), 20_000_000_000)  # of the reports since
     assert start.X[6] > 10.0
 
 

@@ -10,7 +10,6 @@ from ltv_mpc import CurrentProfile, Estimate, Vehicle
 from ltv_mpc.control.config import Disturbance
 from ltv_mpc.control.disturbance import DisturbanceObserver
 from ltv_mpc.control.prediction import Prediction, growth_m
-from ltv_mpc.control.sent_commands import SentCommands
 from tests.ltv_mpc.plans import plan_of
 
 PAPER = Vehicle.load("paper")
@@ -31,18 +30,18 @@ CORRELATED = np.diag(SD) @ (np.eye(6) + 0.4 * (np.eye(6, k=2) + np.eye(6, k=-2))
 def learning(walk_mps_per_rts: float = 0.01, sd_mps: float | None = None) -> DisturbanceObserver:
     """Return the bias after one estimate without a current."""
     bias = DisturbanceObserver(Disturbance(sd_mps=sd_mps, walk_mps_per_rts=walk_mps_per_rts), PAPER)
-    bias.correct(Estimate.at_rest(), Prediction(PAPER), SentCommands(PAPER))
+    bias.correct(Estimate.at_rest(), Prediction(PAPER))
     return bias
 
 
 NEVER = learning(sd_mps=0.0)
 
 
-def sent(port: float = 1.0, starboard: float = 1.0) -> SentCommands:
-    """Return commands of 8 s, each thruster's scaled."""
-    commands = SentCommands(PAPER)
-    commands.add(plan_of(0, np.tile([30.0 * port, 22.0 * starboard, 0.0], (28, 1))))
-    return commands
+def sent(port: float = 1.0, starboard: float = 1.0) -> Prediction:
+    """Return a prediction through commands of 8 s, each thruster's scaled."""
+    prediction = Prediction(PAPER)
+    prediction.sent.add(plan_of(0, np.tile([30.0 * port, 22.0 * starboard, 0.0], (28, 1))))
+    return prediction
 
 
 def drawn(t_ns: int, covariance: np.ndarray | None, current_sd: float) -> float:
@@ -63,8 +62,7 @@ def drawn(t_ns: int, covariance: np.ndarray | None, current_sd: float) -> float:
             yaw_rate_radps=0.05 + r,
             current=CurrentProfile(depth_m=np.zeros(1), north_mps=np.array([cn]), east_mps=np.array([ce])),
         )
-        commands = sent(*(1.0 + 0.1 * rng.standard_normal(2)))
-        places[k] = Prediction(PAPER).state_at(estimate, t_ns, commands).X[:2]
+        places[k] = sent(*(1.0 + 0.1 * rng.standard_normal(2))).state_at(estimate, t_ns).X[:2]
     return float(np.sqrt(places.var(axis=0).sum()))
 
 
@@ -75,7 +73,7 @@ def drawn(t_ns: int, covariance: np.ndarray | None, current_sd: float) -> float:
 )
 def test_the_growth_is_that_of_draws(covariance, bias, seconds):
     estimate = msgspec.structs.replace(MOVING, covariance=covariance)
-    growth = growth_m(Prediction(PAPER), estimate, seconds * S, sent(), bias.covariance_of_mean(seconds))
+    growth = growth_m(sent(), estimate, seconds * S, bias.covariance_of_mean(seconds))
     at_first = 0.0 if covariance is None else float(np.hypot(*SD[:2]))
     current_sd = 0.0 if bias is NEVER else float(np.sqrt(bias.covariance_of_mean(seconds)[0, 0]))
     assert growth == pytest.approx(drawn(seconds * S, covariance, current_sd) - at_first, rel=0.15)
@@ -92,6 +90,6 @@ def test_the_standard_deviation_of_a_told_current_counts_at_the_depth_of_the_veh
     zero = np.zeros(2)
     profile = CurrentProfile(depth_m=np.array([0.0, 10.0]), north_mps=zero, east_mps=zero, sd_mps=np.array([0.0, 0.2]))
     estimate = msgspec.structs.replace(MOVING, depth_m=5.0, current=profile)
-    growth = growth_m(Prediction(PAPER), estimate, 6 * S, sent(), NEVER.covariance_of_mean(6.0))
+    growth = growth_m(sent(), estimate, 6 * S, NEVER.covariance_of_mean(6.0))
     assert growth == pytest.approx(drawn(6 * S, None, 0.1), rel=0.15)
-    assert growth > 1.5 * growth_m(Prediction(PAPER), MOVING, 6 * S, sent(), NEVER.covariance_of_mean(6.0))
+    assert growth > 1.5 * growth_m(sent(), MOVING, 6 * S, NEVER.covariance_of_mean(6.0))

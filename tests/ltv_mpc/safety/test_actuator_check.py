@@ -11,7 +11,6 @@ import pytest
 
 from ltv_mpc import Controller, ControllerConfig, CurrentProfile, Estimate, Vehicle, references
 from ltv_mpc.control.prediction import Prediction, as_estimate
-from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.messages import Applied, Authority, Health, Plan
 from ltv_mpc.safety.actuator_check import WHAT_IT_CAN_BE, ActuatorCheck
 from ltv_mpc.safety.command_arbiter import ThrustOverride
@@ -106,12 +105,11 @@ class Loop:
             self.plans.append((t_ns + self.plan_delay_ns, plan))
             learned = self.controller.observer.current[0].copy()
             self.cycles.append(Cycle(t_ns * 1e-9, plan, learned, np.array([self.truth.north_m, self.truth.east_m])))
-        sent = SentCommands(self.vehicle)
         following_N = self.delivered(self.truth, np.array(self.gate.command_at(t_ns + STEP_NS)))
-        sent.knots = np.array([t_ns, t_ns + STEP_NS]), np.array([command_N, following_N])
+        self.model.sent.knots = np.array([t_ns, t_ns + STEP_NS]), np.array([command_N, following_N])
         self.command_N = following_N
         self.model.add_report(report(t_ns, self.delivered_N))
-        end = self.model.state_at(self.truth, t_ns + STEP_NS, sent)
+        end = self.model.state_at(self.truth, t_ns + STEP_NS)
         self.truth = as_estimate(end, self.truth)
         self.delivered_N = np.array([*end.X[6:8], end.vertical_N])
 

@@ -8,8 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from ltv_mpc.safety.motion_fit import ARM, DELAY, MODEL, SIZE
-from ltv_mpc.safety.vehicle_file_check import VehicleFileCheck
+from ltv_mpc.safety.motion_fit import ARM, DELAY, MODEL, SIZE, VehicleFileCheck
 
 S = 1_000_000_000
 
@@ -25,9 +24,9 @@ def fit(arm_m=(0.0, 0.0), factors: dict[int, float] | None = None, late_s: float
 
 def checked(*of, seconds: int = 20, reports: bool = True, **options: bool) -> VehicleFileCheck:
     """Return the check after some seconds with one fit."""
-    check = VehicleFileCheck()
+    check = VehicleFileCheck(fit(*of, reports=reports))
     for t in range(seconds + 1):
-        check.update(t * S, fit(*of, reports=reports), **options)
+        check.update(t * S, **options)
     return check
 
 
@@ -78,11 +77,12 @@ def test_a_learned_current_that_stays_at_its_bound_is_named():
 
 
 def test_late_stamps_are_named_with_the_delay_and_nothing_that_they_explain():
-    check = VehicleFileCheck()
+    check = VehicleFileCheck(fit())
     for t in range(11):
         assert check.health.health == "nominal"
         assert not check.stamps_are_late
-        check.update(t * S, fit((0.5, 0.0), {0: 2.0}, 0.5 + 0.01 * t))
+        check.fit = fit((0.5, 0.0), {0: 2.0}, 0.5 + 0.01 * t)
+        check.update(t * S)
     assert check.health.health == "degraded"
     assert check.stamps_are_late
     for text in (check.why, check.health.why):
@@ -105,5 +105,6 @@ def test_without_reports_late_stamps_or_thrusters_that_answer_late_are_named():
 def test_the_alarm_ends_with_its_cause():
     check = checked((0.5, 0.0), {0: 2.0})
     assert check.health.why.count(";") == 1
-    check.update(21 * S, fit((0.1, 0.0)))
+    check.fit = fit((0.1, 0.0))
+    check.update(21 * S)
     assert check.health.health == "nominal"
