@@ -17,10 +17,10 @@ from ltv_mpc.messages import NodeSettings, RunEvent
 from services.bus import topics
 from services.bus.roles import SUPERVISOR
 from services.bus.wire import Header, WireError
+from services.recording.loss_accounting import SequenceGaps
 from services.recording.node_settings import SCENARIO, table_of, vehicle_name
 from services.recording.reader import Recording, StoredMessage
 from services.recording.recover import RECOVERY
-from services.recording.sequence_gaps import SequenceGaps
 from services.recording.writer import ENDED, VEHICLE_MODE
 
 SUPERVISOR_EVENTS = topics.key_of(RunEvent, SUPERVISOR)
@@ -119,7 +119,7 @@ class _SourceFigures:
         """Return the figures for the output."""
         return Source(
             epoch=epoch,
-            messages=self.gaps.messages,
+            messages=self.gaps.received + self.gaps.doubled,
             first_s=self.first_ns / 1e9,
             last_s=self.last_ns / 1e9,
             published=self.gaps.published,
