@@ -27,7 +27,7 @@ import numpy as np
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import ImuSamples
 from services.bus import topics
-from services.recording.reader import StoredMessage, read_segments
+from services.recording.reader import Recording, StoredMessage
 
 Format: TypeAlias = Literal["csv", "parquet"]
 
@@ -95,7 +95,7 @@ def export(parts: Sequence[Path], folder: Path, form: Format) -> ExportResult:
 def _rows(parts: Sequence[Path]) -> Iterator[tuple[StoredMessage, dict[str, Any] | None]]:
     """Yield each message with its flattened map, each inertial sample with one of its own; None if it is not a map."""
     decode = msgspec.json.Decoder().decode
-    for raw in read_segments(parts):
+    for raw in Recording(*parts, past_losses=True):
         try:
             plain = decode(raw.data)
             samples = plain.pop("samples", [{}]) if raw.kind is ImuSamples else [{}]

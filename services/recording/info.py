@@ -190,7 +190,7 @@ class _Collector:
             span = span or _Span(stored.t_ns)
             span.add(stored.t_ns)
             self._add(stored, from_first=recording.metadata.get("mode") == VEHICLE_MODE)
-        records = recording.records
+        (records,) = recording.parts
         return Segment(
             file=records.path.name,
             bytes=records.size,
