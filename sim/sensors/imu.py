@@ -24,7 +24,7 @@ from ltv_mpc.localisation.sensors.imu import Imu
 from ltv_mpc.messages import Array, ImuSample, Triple
 from ltv_mpc.so3 import Matrix3
 from sim.random_streams import Stream, generator
-from sim.sensors.gauss_markov import GaussMarkovBias
+from sim.sensors.simulated import GaussMarkovBias
 from sim.sensors.vehicle_state import VehicleState
 
 
