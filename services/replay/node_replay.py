@@ -240,32 +240,29 @@ class NodeReplay:
         return epoch
 
 
-def feed(
-    recording: Recording, nodes: Sequence[NodeReplay], *, progress: Callable[[int], None] = lambda _: None
-) -> None:
-    """Read the recording once. ``progress`` receives the vehicle time."""
+def feed(recording: Recording, nodes: Sequence[NodeReplay]) -> float:
+    """Read the recording once. Return the time from its first to its last message (vehicle seconds)."""
     readers: dict[str, list[NodeReplay]] = {}
     for node in nodes:
         for key in node.keys:
             readers.setdefault(key, []).append(node)
-    t_ns = None
 
     def wanted(key: str) -> bool:
         return table_key(key) in readers  # also of the sources that publish beside those of the table
 
+    times_ns: list[int] = []  # of the first message, of one in ``SWEEP``, and of the last
     for at, stored in enumerate(recording.stored(wanted), 1):
-        if t_ns is None:
-            progress(stored.t_ns)
-        t_ns = stored.t_ns
+        if at == 1 or at % SWEEP == 0:
+            times_ns.append(stored.t_ns)
         with contextlib.suppress(WireError):
             header = stored.header()
             for node in readers.get(table_key(stored.key), ()):
                 node.take(stored, header, at)
         if at % SWEEP == 0:
-            progress(t_ns)
             for node in nodes:
                 node.sweep(at)
     for node in nodes:
         node.close()
-    if t_ns is not None:
-        progress(t_ns)
+    if times_ns:
+        times_ns.append(stored.t_ns)
+    return (max(times_ns, default=0) - min(times_ns, default=0)) / 1e9

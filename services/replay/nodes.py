@@ -68,8 +68,6 @@ class Run:
         self.metadata = metadata_of(path)
         self._world = run_config_of(self.metadata, source=self._source) if SCENARIO in self.metadata else None
         self._settings: dict[str, dict[int, NodeSettings]] = {}  # by node and epoch, those of the newest start last
-        self.span_ns = (0, 0)
-        """Vehicle times of the start and the end."""
         if self._world is not None:
             scenario = self._world.scenario
             aboard = [ControllerNode.name] if scenario.run.perfect_state else [Estimator.name, ControllerNode.name]
@@ -77,7 +75,6 @@ class Run:
             self._settings = {
                 name: {EVERY_START: NodeSettings(node=name, files=files, made_by=made_by)} for name in aboard
             }
-            self.span_ns = scenario.start_ns, scenario.end_ns
             return
         self._read_published()
         if not self._settings.keys() & SETTINGS.keys():
@@ -92,17 +89,13 @@ class Run:
         return Recording(*segments(self.path))
 
     def _read_published(self) -> None:
-        """Read the settings that the processes published, and the vehicle times. Invalid messages are skipped."""
-        times: list[int] = []
+        """Read the settings that the processes published. Invalid messages are skipped."""
         for stored in self.recording():
-            times[:] = min((stored.t_ns, *times)), max((stored.t_ns, *times))
             if stored.kind is NodeSettings:
                 with contextlib.suppress(WireError):
                     message, header = stored.typed()
                     assert isinstance(message, NodeSettings)
                     self._settings.setdefault(stored.key.removeprefix(PREFIX), {})[header.epoch] = message
-        if times:
-            self.span_ns = times[0], times[1]
 
     @property
     def title(self) -> str:

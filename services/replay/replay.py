@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from functools import partial
 from pathlib import Path
 
@@ -21,26 +21,16 @@ from services.replay.what_if import WhatIf
 from services.run.provenance import provenance_table
 from services.run.run_config import ORIGIN
 
-Progress = Callable[[int], None]
-"""Callback that receives the vehicle time that the replay has reached."""
-
-
 # --- every output again ----------------------------------------------------------------------------------------------
 
 
-def replay(run: Run, *, only: str | None = None, progress: Progress = lambda _: None) -> Verdict:
+def replay(run: Run, *, only: str | None = None) -> Verdict:
     """Replay every step that can be replayed, and compare its outputs. Raises ``ConfigError``."""
-    started_s, span_ns = time.monotonic(), list[int]()
-
-    def advance(t_ns: int) -> None:
-        span_ns[:] = min((t_ns, *span_ns)), max((t_ns, *span_ns))
-        progress(t_ns)
-
+    started_s = time.monotonic()
     parts = [NodeReplay(name, partial(run.make, name), partial(Comparison, name)) for name in run.only(only)]
     recording = run.recording()
-    feed(recording, parts, progress=advance)
-    verdicts = tuple(map(_node_verdict, parts))
-    wall_s, vehicle_s = time.monotonic() - started_s, (span_ns[1] - span_ns[0]) / 1e9 if span_ns else 0.0
+    vehicle_s = feed(recording, parts)
+    verdicts, wall_s = tuple(map(_node_verdict, parts)), time.monotonic() - started_s
     compared = sum(verdict.steps_compared for verdict in verdicts)
     identical = sum(verdict.steps_identical for verdict in verdicts)
     difference = _first(verdict.first_difference for verdict in verdicts)
@@ -90,7 +80,7 @@ def _first(differences: Iterable[Difference | None]) -> Difference | None:
 # --- what another setting would have done ----------------------------------------------------------------------------
 
 
-def what_if(run: Run, settings: Path, *, only: str | None = None, progress: Progress = lambda _: None) -> WhatIfVerdict:
+def what_if(run: Run, settings: Path, *, only: str | None = None) -> WhatIfVerdict:
     """Replay the node whose settings the file has, with these settings. Raises ``ConfigError``."""
     name = node_of(settings)
     changes = run.changes(name, settings)
@@ -100,7 +90,7 @@ def what_if(run: Run, settings: Path, *, only: str | None = None, progress: Prog
     started_s = time.monotonic()
     comparison = WhatIf(name)
     part = NodeReplay(name, partial(run.make, name, settings=settings), lambda _: comparison)
-    feed(run.recording(), [part], progress=progress)
+    feed(run.recording(), [part])
     return WhatIfVerdict(
         recording=str(run.path),
         scenario=run.title,
