@@ -18,9 +18,8 @@ from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.topics import BY_TYPE
 from services.bus.wire import WireError
-from services.recording.loss_accounting import LossAccounting
+from services.recording.loss_accounting import LossAccounting, SequenceGaps
 from services.recording.reader import Recording
-from services.recording.sequence_gaps import SequenceGaps
 from services.recording.writer import RunWriter
 
 RECORDER, CONTROLLER, PLANT = "recorder", "controller", "plant"
@@ -137,9 +136,8 @@ class Recorded:
 
     def holes(self, key: str) -> int:
         """Count the missing sequence numbers of a key between the first and the last recorded one of each epoch."""
-        losses = LossAccounting()
+        losses = LossAccounting(late=True)
         for epoch, sequence in sorted((sent.epoch, sent.sequence) for sent in self._sent if sent.key == key):
-            losses.start_at(key, epoch, sequence)
             losses.add(key, epoch, sequence)
         return losses.missing
 

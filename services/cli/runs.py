@@ -112,18 +112,17 @@ def replay(
     from services.replay import replay as again
     from services.replay.nodes import Run
     from services.reporting import replay_text
-    from services.reporting.terminal import run_progress_bar
+    from services.reporting.terminal import reading_progress
     from services.run import folder
 
-    made = Run(folder.find(run))
-    bar = run_progress_bar(*made.span_ns)
+    recording = folder.find(run)
     if with_ is not None:
-        with bar as progress:
-            would = again.what_if(made, with_, only=node, progress=progress)
+        with reading_progress(recording):
+            would = again.what_if(Run(recording), with_, only=node)
         show(would, lambda: replay_text.what_if_text(would), as_json=as_json)
         return 0
-    with bar as progress:
-        verdict = again.replay(made, only=node, progress=progress)
+    with reading_progress(recording):
+        verdict = again.replay(Run(recording), only=node)
     show(verdict, lambda: replay_text.text(verdict), as_json=as_json)
     return 0 if verdict.identical else 1
 

@@ -20,7 +20,7 @@ from ltv_mpc.safety.source_selector import remember
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.message_validation import SHARED, message_at
 from services.bus.roles import ANYONE, DISPLAY, ROLES
-from services.bus.sequence_check import FAR_AHEAD, MAX_FIRST, MAX_SILENCE_US, MIN_SILENCE_US, SequenceCheck
+from services.bus.sequence_check import FAR_AHEAD, MAX_SILENCE_US, MIN_SILENCE_US, SequenceCheck
 from services.bus.topics import OPERATOR, Topic, topic_at
 from services.bus.wire import Header, WireError
 from services.recording.loss_accounting import LossAccounting
@@ -54,10 +54,11 @@ class Acceptance:
     """Decision for each message of one run, in the order of the recording, with the losses and the rejections.
 
     ``vehicle`` decides which estimates are plausible; None: all. ``speed``: of the clock until its first message.
+    ``late``: as of ``LossAccounting``.
     """
 
-    def __init__(self, vehicle: Vehicle | None = None, *, speed: float = 1.0) -> None:
-        self.losses = LossAccounting()
+    def __init__(self, vehicle: Vehicle | None = None, *, speed: float = 1.0, late: bool = False) -> None:
+        self.losses = LossAccounting(late=late)
         self.rejected = 0
         self.source_epoch = 0
         """Epoch of the estimates in use; 0: unknown."""
@@ -93,8 +94,6 @@ class Acceptance:
             self._writers[writer] = epoch, received_us
         if topic.written_by == ANYONE and node not in NODES:
             return ""
-        if sequence > MAX_FIRST:  # so many messages are not lost before the first one: its sender began elsewhere
-            self.losses.start_at(key, epoch, sequence)
         self.losses.add(key, epoch, sequence)
         return ""
 

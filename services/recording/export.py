@@ -27,7 +27,7 @@ import numpy as np
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import ImuSamples
 from services.bus import topics
-from services.recording.reader import StoredMessage, read_segments
+from services.recording.reader import Recording, StoredMessage
 
 Format: TypeAlias = Literal["csv", "parquet"]
 
@@ -35,7 +35,7 @@ MAX_COLUMNS = 1024
 """Columns of one field; a longer list is one column."""
 MAX_KEYS = 500
 BATCH_ROWS = 5000
-"""Rows of a table that are kept in memory; also the row group of Parquet."""
+"""Rows of a Parquet file that are kept in memory, and of its row groups."""
 INT64 = 2**63
 MAX_FLOAT_INT = 2**1023
 """Larger integers do not fit a float and become text."""
@@ -79,8 +79,7 @@ def export(parts: Sequence[Path], folder: Path, form: Format) -> ExportResult:
         fields = layouts.setdefault(raw.key, defaultdict(_Field))
         for path, value in message.items():
             fields[path].add(value)
-    table_type = _CsvTable if form == "csv" else _ParquetTable
-    tables = {key: table_type(key, fields, folder / name) for key, fields, name in _named(layouts, form)}
+    tables = {key: _Table(key, fields, folder / name) for key, fields, name in _named(layouts, form)}
     try:
         for raw, message in _rows(parts):
             if message is not None:
@@ -95,7 +94,7 @@ def export(parts: Sequence[Path], folder: Path, form: Format) -> ExportResult:
 def _rows(parts: Sequence[Path]) -> Iterator[tuple[StoredMessage, dict[str, Any] | None]]:
     """Yield each message with its flattened map, each inertial sample with one of its own; None if it is not a map."""
     decode = msgspec.json.Decoder().decode
-    for raw in read_segments(parts):
+    for raw in Recording(*parts, past_losses=True):
         try:
             plain = decode(raw.data)
             samples = plain.pop("samples", [{}]) if raw.kind is ImuSamples else [{}]
@@ -200,10 +199,9 @@ def _floats(value: list[Any]) -> list[Any]:
 
 
 class _Table:
-    """Table of one key, written in batches of rows."""
+    """Table of one key."""
 
     def __init__(self, key: str, fields: dict[str, _Field], path: Path) -> None:
-        self._key, self._path = key, path
         parents = {name.rpartition(".")[0] for name in fields}
         # A field that is null in some messages and a map in others has the columns of the map.
         self._fields = {
@@ -212,14 +210,15 @@ class _Table:
         self._timed = self._fields.get("t_ns") == (Column(name="t_ns", kind="int"),)
         times = [Column(name="published_s", kind="float"), Column(name="published_ns", kind="int")]
         times += [Column(name="t_s", kind="float")] if self._timed else []
-        self.columns = [*times, *itertools.chain.from_iterable(self._fields.values())]
-        self._rows: list[list[Any]] = []
-        self._count = 0
+        columns = [*times, *itertools.chain.from_iterable(self._fields.values())]
+        self._file = _CsvFile(columns, path) if path.suffix == ".csv" else _ParquetFile(columns, path, key)
+        self.close = self._file.close
+        self._key, self._name, self._columns, self._rows = key, path.name, len(columns), 0
 
     @property
     def exported(self) -> ExportedFile:
         """Description of the file that was written."""
-        return ExportedFile(file=self._path.name, key=self._key, rows=self._count, columns=len(self.columns))
+        return ExportedFile(file=self._name, key=self._key, rows=self._rows, columns=self._columns)
 
     def add(self, published_ns: int, message: dict[str, Any]) -> None:
         """Add a message of the key."""
@@ -229,8 +228,59 @@ class _Table:
             row.append(None if t_ns is None else t_ns / 1e9)
         for name, columns in self._fields.items():
             row += _cells(columns, message.get(name))
+        self._file.write(row)
+        self._rows += 1
+
+
+class _CsvFile:
+    """File of rows as text; lists and booleans are JSON."""
+
+    def __init__(self, columns: Sequence[Column], path: Path) -> None:
+        self._file = path.open("w", encoding="utf-8", newline="")
+        self.close = self._file.close
+        self._writer = csv.writer(self._file, lineterminator="\n")
+        self._writer.writerow([column.name for column in columns])
+        self._as_json = [i for i, column in enumerate(columns) if column.depth or column.kind == "bool"]
+
+    def write(self, row: list[Any]) -> None:
+        """Write a row."""
+        for i in self._as_json:
+            if row[i] is not None:
+                row[i] = msgspec.json.encode(row[i]).decode()
+        self._writer.writerow(row)
+
+
+def need_pyarrow() -> None:
+    """Check that Parquet can be written. Raises ``ConfigError`` if pyarrow is not installed."""
+    if find_spec("pyarrow") is None:
+        problem = "needs the package pyarrow: pip install pyarrow (extra parquet), or use --format csv"
+        raise ConfigError("option --format", "", problem, value="parquet")
+
+
+class _ParquetFile:
+    """File of typed columns, written in batches of rows."""
+
+    def __init__(self, columns: Sequence[Column], path: Path, key: str) -> None:
+        import pyarrow as pa
+        from pyarrow import parquet as pq
+
+        self._pa = pa
+        topic = topics.topic_at(key)
+        about = {"ltv_mpc.key": key, "ltv_mpc.message": "" if topic is None else topic.message_type.__name__}
+        types = {"int": pa.int64(), "float": pa.float64(), "bool": pa.bool_()}
+        made = []
+        for column in columns:
+            kind = types.get(column.kind, pa.string())
+            for _ in range(column.depth):
+                kind = pa.list_(kind)
+            made.append((column.name, kind))
+        self._schema = pa.schema(made, metadata=about)
+        self._file = pq.ParquetWriter(path, self._schema, compression="zstd")
+        self._rows: list[list[Any]] = []
+
+    def write(self, row: list[Any]) -> None:
+        """Add a row."""
         self._rows.append(row)
-        self._count += 1
         if len(self._rows) >= BATCH_ROWS:
             self._flush()
 
@@ -241,59 +291,7 @@ class _Table:
         self._file.close()
 
     def _flush(self) -> None:
-        self._write(self._rows)
-        self._rows = []
-
-    _file: Any
-
-    def _write(self, rows: Sequence[Sequence[Any]]) -> None:
-        raise NotImplementedError
-
-
-class _CsvTable(_Table):
-    def __init__(self, key: str, fields: dict[str, _Field], path: Path) -> None:
-        super().__init__(key, fields, path)
-        self._file = path.open("w", encoding="utf-8", newline="")
-        self._writer = csv.writer(self._file, lineterminator="\n")
-        self._writer.writerow([column.name for column in self.columns])
-        self._as_json = [i for i, column in enumerate(self.columns) if column.depth or column.kind == "bool"]
-
-    def _write(self, rows: Sequence[Sequence[Any]]) -> None:
-        for row in rows:
-            cells = list(row)
-            for i in self._as_json:
-                if cells[i] is not None:
-                    cells[i] = msgspec.json.encode(cells[i]).decode()
-            self._writer.writerow(cells)
-
-
-def need_pyarrow() -> None:
-    """Check that Parquet can be written. Raises ``ConfigError`` if pyarrow is not installed."""
-    if find_spec("pyarrow") is None:
-        problem = "needs the package pyarrow: pip install pyarrow (extra parquet), or use --format csv"
-        raise ConfigError("option --format", "", problem, value="parquet")
-
-
-class _ParquetTable(_Table):
-    def __init__(self, key: str, fields: dict[str, _Field], path: Path) -> None:
-        import pyarrow as pa
-        from pyarrow import parquet as pq
-
-        super().__init__(key, fields, path)
-        self._pa = pa
-        topic = topics.topic_at(key)
-        about = {"ltv_mpc.key": key, "ltv_mpc.message": "" if topic is None else topic.message_type.__name__}
-        types = {"int": pa.int64(), "float": pa.float64(), "bool": pa.bool_()}
-        made = []
-        for column in self.columns:
-            kind = types.get(column.kind, pa.string())
-            for _ in range(column.depth):
-                kind = pa.list_(kind)
-            made.append((column.name, kind))
-        self._schema = pa.schema(made, metadata=about)
-        self._file = pq.ParquetWriter(path, self._schema, compression="zstd")
-
-    def _write(self, rows: Sequence[Sequence[Any]]) -> None:
-        columns = zip(zip(*rows, strict=True), self._schema, strict=True)
+        columns = zip(zip(*self._rows, strict=True), self._schema, strict=True)
         arrays = [self._pa.array(values, type=field.type) for values, field in columns]
         self._file.write_table(self._pa.Table.from_arrays(arrays, schema=self._schema))
+        self._rows = []

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Sequence
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -17,10 +16,10 @@ from ltv_mpc.messages import NodeSettings, RunEvent
 from services.bus import topics
 from services.bus.roles import SUPERVISOR
 from services.bus.wire import Header, WireError
+from services.recording.loss_accounting import SequenceGaps
 from services.recording.node_settings import SCENARIO, table_of, vehicle_name
 from services.recording.reader import Recording, StoredMessage
 from services.recording.recover import RECOVERY
-from services.recording.sequence_gaps import SequenceGaps
 from services.recording.writer import ENDED, VEHICLE_MODE
 
 SUPERVISOR_EVENTS = topics.key_of(RunEvent, SUPERVISOR)
@@ -109,61 +108,62 @@ class Info(msgspec.Struct, frozen=True, kw_only=True):
     events_total: int
 
 
-@dataclass(slots=True)
-class _SourceFigures:
-    gaps: SequenceGaps
-    first_ns: int
-    last_ns: int
+class _Span:
+    """First and last time of some messages."""
 
-    def source(self, epoch: int) -> Source:
-        """Return the figures for the output."""
-        return Source(
-            epoch=epoch,
-            messages=self.gaps.messages,
-            first_s=self.first_ns / 1e9,
-            last_s=self.last_ns / 1e9,
-            published=self.gaps.published,
-            missing=self.gaps.missing,
-            doubled=self.gaps.doubled,
-            gaps=self.gaps.ranges[:MAX_GAPS],
-        )
+    def __init__(self, t_ns: int) -> None:
+        self.first_ns = self.last_ns = t_ns
+
+    def add(self, t_ns: int) -> None:
+        """Add the time of a message, in any order."""
+        self.first_ns, self.last_ns = min(self.first_ns, t_ns), max(self.last_ns, t_ns)
 
 
-class _KeyFigures:
-    def __init__(self, first_ns: int) -> None:
-        self._first_ns = self._last_ns = first_ns
+class _KeyFigures(_Span):
+    def __init__(self, t_ns: int) -> None:
+        super().__init__(t_ns)
         self._bytes = 0
-        self._silence_ns = 0
-        self._silence_from_ns = 0
-        self._sources: dict[int, _SourceFigures] = {}
+        self._silence_ns, self._silence_from_ns = 0, 0
+        self._sources: dict[int, tuple[SequenceGaps, _Span]] = {}  # by epoch
 
-    def add(self, raw: StoredMessage, header: Header, *, from_first: bool) -> None:
+    def add_message(self, raw: StoredMessage, header: Header, *, from_first: bool) -> None:
         """Add a message. ``from_first``: a source is counted from its first recorded message on, not from 0."""
-        if raw.t_ns - self._last_ns > self._silence_ns:
-            self._silence_ns, self._silence_from_ns = raw.t_ns - self._last_ns, self._last_ns
-        self._first_ns, self._last_ns = min(self._first_ns, raw.t_ns), max(self._last_ns, raw.t_ns)
+        if raw.t_ns - self.last_ns > self._silence_ns:
+            self._silence_ns, self._silence_from_ns = raw.t_ns - self.last_ns, self.last_ns
+        self.add(raw.t_ns)
         self._bytes += len(raw.data)
-        source = self._sources.get(header.epoch)
-        if source is None:
+        if header.epoch not in self._sources:
             if len(self._sources) >= MAX_SOURCES:
                 raise WireError("too many sources")
-            begins = header.sequence if from_first else 0
-            source = self._sources[header.epoch] = _SourceFigures(SequenceGaps(begins), raw.t_ns, raw.t_ns)
-        source.gaps.add(header.sequence)
-        source.last_ns = max(source.last_ns, raw.t_ns)
+            self._sources[header.epoch] = SequenceGaps(header.sequence if from_first else 0), _Span(raw.t_ns)
+        gaps, span = self._sources[header.epoch]
+        gaps.add(header.sequence)
+        span.add(raw.t_ns)
 
     def key(self, name: str) -> Key:
         """Return the figures for the output."""
-        sources = tuple(figures.source(epoch) for epoch, figures in self._sources.items())
-        topic, over_ns = topics.topic_at(name), self._last_ns - self._first_ns
+        sources = tuple(
+            Source(
+                epoch=epoch,
+                messages=gaps.received + gaps.doubled,
+                first_s=span.first_ns / 1e9,
+                last_s=span.last_ns / 1e9,
+                published=gaps.published,
+                missing=gaps.missing,
+                doubled=gaps.doubled,
+                gaps=gaps.ranges[:MAX_GAPS],
+            )
+            for epoch, (gaps, span) in self._sources.items()
+        )
+        topic, over_ns = topics.topic_at(name), self.last_ns - self.first_ns
         messages = sum(source.messages for source in sources)
         return Key(
             key=name,
             message="" if topic is None else topic.message_type.__name__,
             messages=messages,
             rate_hz=1e9 * (messages - 1) / over_ns if over_ns > 0 else None,
-            first_s=self._first_ns / 1e9,
-            last_s=self._last_ns / 1e9,
+            first_s=self.first_ns / 1e9,
+            last_s=self.last_ns / 1e9,
             silence_s=self._silence_ns / 1e9,
             silence_from_s=self._silence_from_ns / 1e9,
             bytes=self._bytes,
@@ -181,11 +181,32 @@ class _Collector:
         self.unreadable = 0
         self.settings: dict[str, NodeSettings] = {}  # newest, by key
 
-    def add(self, stored: StoredMessage, *, from_first: bool) -> None:
-        """Add a message; ``from_first`` as in ``_KeyFigures.add``."""
+    def read(self, recording: Recording) -> Segment:
+        """Read a segment to its end."""
+        messages = 0
+        span: _Span | None = None
+        for stored in recording.stored():
+            messages += 1
+            span = span or _Span(stored.t_ns)
+            span.add(stored.t_ns)
+            self._add(stored, from_first=recording.metadata.get("mode") == VEHICLE_MODE)
+        (records,) = recording.parts
+        return Segment(
+            file=records.path.name,
+            bytes=records.size,
+            whole=records.whole,
+            lost_bytes=records.lost_bytes,
+            messages=messages,
+            first_s=None if span is None else span.first_ns / 1e9,
+            last_s=None if span is None else span.last_ns / 1e9,
+        )
+
+    def _add(self, stored: StoredMessage, *, from_first: bool) -> None:
+        """Add a message; ``from_first`` as in ``_KeyFigures.add_message``."""
         try:
             header = stored.header()
-            self.keys.setdefault(stored.key, _KeyFigures(stored.t_ns)).add(stored, header, from_first=from_first)
+            figures = self.keys.setdefault(stored.key, _KeyFigures(stored.t_ns))
+            figures.add_message(stored, header, from_first=from_first)
         except WireError:
             self.unreadable += 1
             return
@@ -205,14 +226,9 @@ class _Collector:
 def read(parts: Sequence[Path]) -> Info:
     """Summarise the segments of a recording, in their order. Raises ``ConfigError`` if one is not an MCAP file."""
     collector = _Collector()
-    segments: list[Segment] = []
-    metadata: dict[str, str] = {}
-    recovered = False
-    for path in parts:
-        reader = Recording(path, past_losses=True)
-        segments.append(_segment(reader, collector))
-        metadata = metadata or reader.metadata
-        recovered = recovered or RECOVERY in reader.others
+    recordings = [Recording(path, past_losses=True) for path in parts]
+    segments = tuple(map(collector.read, recordings))
+    metadata = next((recording.metadata for recording in recordings if recording.metadata), {})
     keys = tuple(figures.key(name) for name, figures in sorted(collector.keys.items()))
     first = min((key.first_s for key in keys), default=0.0)
     last = max((key.last_s for key in keys), default=0.0)
@@ -232,36 +248,16 @@ def read(parts: Sequence[Path]) -> Info:
         duration_s=last - first,
         made_by={name: str(value) for name, value in provenance.items()},
         whole=all(segment.whole for segment in segments),
-        recovered=recovered,
+        recovered=any(RECOVERY in recording.others for recording in recordings),
         messages=sum(key.messages for key in keys),
         missing=sum(key.missing for key in keys),
         bytes=sum(segment.bytes for segment in segments),
         unreadable=collector.unreadable,
         why=collector.why,
-        segments=tuple(segments),
+        segments=segments,
         keys=keys,
         events=tuple(collector.events),
         events_total=collector.events_total,
-    )
-
-
-def _segment(reader: Recording, collector: _Collector) -> Segment:
-    count = 0
-    times_s: tuple[float, ...] = ()  # of the first and the last message
-    for raw in reader.stored():
-        count += 1
-        t_s = raw.t_ns / 1e9
-        times_s = min((t_s, *times_s)), max((t_s, *times_s))
-        collector.add(raw, from_first=reader.metadata.get("mode") == VEHICLE_MODE)
-    records = reader.records
-    return Segment(
-        file=records.path.name,
-        bytes=records.size,
-        whole=records.whole,
-        lost_bytes=records.lost_bytes,
-        messages=count,
-        first_s=times_s[0] if times_s else None,
-        last_s=times_s[1] if times_s else None,
     )
 
 

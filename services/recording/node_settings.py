@@ -1,49 +1,17 @@
-"""Settings of the processes aboard, as they published them beside the recorder."""
+"""Settings files of a run, as its recording or the messages of its processes hold them."""
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Iterable, Mapping
-from itertools import chain
-from typing import Any, TypeAlias
+from collections.abc import Mapping
+from typing import Any
 
 from ltv_mpc.config import loads, parse
-from ltv_mpc.messages import NodeSettings
 from ltv_mpc.vehicle.parameters import Vehicle
-from services.bus.topics import BY_TYPE
-from services.bus.wire import WireError
-from services.recording.reader import Recording
 
-PREFIX = f"{BY_TYPE[NodeSettings].key}/"
 SCENARIO, VEHICLE, REFERENCE = "scenario.toml", "config/vehicle.toml", "config/reference.toml"
 
 HOLD = "hold"
 """Kind of a reference that begins where the vehicle is."""
-
-
-class NoSettingsError(LookupError):
-    """The recording does not hold the settings of this start of a node."""
-
-
-SettingsByStart: TypeAlias = dict[str, dict[int, NodeSettings]]
-"""Settings by node and epoch, those of the newest start last."""
-
-
-def published_settings(recordings: Iterable[Recording]) -> tuple[SettingsByStart, tuple[int, int]]:
-    """Return the settings in the recordings of a run, and the vehicle times (ns) of its first and last message.
-
-    Invalid messages are skipped.
-    """
-    settings: SettingsByStart = {}
-    times: list[int] = []
-    for stored in chain.from_iterable(recording.stored() for recording in recordings):
-        times[:] = min((stored.t_ns, *times)), max((stored.t_ns, *times))
-        if stored.kind is NodeSettings:
-            with contextlib.suppress(WireError):
-                message, header = stored.typed()
-                assert isinstance(message, NodeSettings)
-                settings.setdefault(stored.key.removeprefix(PREFIX), {})[header.epoch] = message
-    return settings, (times[0], times[1]) if times else (0, 0)
 
 
 def table_of(files: Mapping[str, str], name: str) -> dict[str, Any]:

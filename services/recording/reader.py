@@ -6,7 +6,7 @@ of the file is not needed.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
@@ -70,29 +70,34 @@ def _decoded(decode: Callable[[bytes], _T], data: bytes) -> _T:
 
 
 class Recording:
-    """Recording file; iteration reads it from the start.
+    """Recording of one file, or of a run's segments in their order; iteration reads it from the start.
 
-    ``metadata`` is complete once iteration has started, ``others``, the other metadata records by name, and ``cut``
-    after it. Reading ends at the first loss, because the messages behind it would seem to follow those before it;
-    ``past_losses``: it continues there. ``records`` has the losses.
+    ``metadata``, those of the first file that has any, are complete once iteration has started, ``others``, the other
+    metadata records by name, after it. Reading of a file ends at its first loss, because the messages behind it would
+    seem to follow those before it; ``past_losses``: it continues there. ``parts`` have the losses.
     """
 
-    def __init__(self, path: Path, *, past_losses: bool = False) -> None:
-        self.path = path
+    def __init__(self, *paths: Path, past_losses: bool = False) -> None:
         self.metadata: dict[str, str] = {}
         self.others: dict[str, dict[str, str]] = {}
-        self.records = Records(path)
-        self.cut = False
+        self.parts = tuple(map(Records, paths))
         self._past_losses = past_losses
+
+    @property
+    def cut(self) -> bool:
+        """True after iteration if a file is incomplete or damaged."""
+        return not all(part.whole for part in self.parts)
 
     def __iter__(self) -> Iterator[StoredMessage]:
         return self.stored()
 
     def stored(self, wanted: Callable[[str], bool] = lambda _: True) -> Iterator[StoredMessage]:
         """Yield the messages without decoding them; ``wanted`` selects them by their key."""
+        return chain.from_iterable(self._stored(part, wanted) for part in self.parts)
+
+    def _stored(self, records: Records, wanted: Callable[[str], bool]) -> Iterator[StoredMessage]:
         channels: dict[int, tuple[str, type[Message] | None] | None] = {}
-        start_ns, records = 0, self.records
-        self.cut = False
+        start_ns = 0
         for record in records:
             if not self._past_losses and (records.losses or records.orphans):
                 break
@@ -105,13 +110,7 @@ class Recording:
                 channel = record.topic, topic.message_type if topic else None
                 channels[record.id] = channel if wanted(record.topic) else None
             elif isinstance(record, Metadata) and record.name == RUN:
-                self.metadata = record.metadata
+                self.metadata = self.metadata or record.metadata
                 start_ns = start_of(record.metadata)
             elif isinstance(record, Metadata):
                 self.others[record.name] = record.metadata
-        self.cut = not records.whole
-
-
-def read_segments(parts: Sequence[Path]) -> Iterator[StoredMessage]:
-    """Yield every message that can be read of the segments, in their order."""
-    return chain.from_iterable(Recording(path, past_losses=True).stored() for path in parts)

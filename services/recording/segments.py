@@ -60,15 +60,15 @@ class SegmentWriter:
         if writer is None:
             self._refused.append(source)
             return
-        self._unsafe.append(source)
         try:
-            if writer.write_plain(key, kind, message, t_ns, crc):
-                self._unsafe.clear()
+            flushed = writer.write_plain(key, kind, message, t_ns, crc)
         except OSError as error:
+            self._unsafe.append(source)
             self._give_up(writer, error)
-        except BaseException:
-            self._unsafe.pop()
-            raise
+        else:
+            self._unsafe.append(source)
+            if flushed:
+                self._unsafe.clear()
 
     def flush_if_due(self, *, now: bool = False) -> None:
         """Flush if it is due, or ``now``. Must also be called while no messages arrive."""
@@ -76,9 +76,7 @@ class SegmentWriter:
         if writer is None:
             return
         try:
-            if now:
-                writer.flush()
-            if now or writer.flush_if_due():
+            if writer.flush_if_due(now=now):
                 self._unsafe.clear()
         except OSError as error:
             self._give_up(writer, error)

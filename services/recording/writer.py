@@ -45,7 +45,6 @@ class RunWriter:
         self, path: Path, *, start_ns: int, metadata: Mapping[str, str], flush_s: float | None = FLUSH_S
     ) -> None:
         self.path = path
-        self.messages = 0
         self._start_ns = start_ns
         self.flush_s = flush_s
         self._channels: dict[str, int] = {}
@@ -82,12 +81,11 @@ class RunWriter:
         if channel is None:
             channel = self._register(key, kind)
         self._mcap.add_message(channel, log_time, data, log_time, crc)
-        self.messages += 1
         return self.flush_if_due()
 
-    def flush_if_due(self) -> bool:
-        """Flush if ``flush_s`` has passed, and return True then. Must also be called while no messages arrive."""
-        due = self.flush_s is not None and time.monotonic() - self._flushed_at >= self.flush_s
+    def flush_if_due(self, *, now: bool = False) -> bool:
+        """Flush if ``flush_s`` has passed, or ``now``; return True then. To be called also while no messages arrive."""
+        due = now or (self.flush_s is not None and time.monotonic() - self._flushed_at >= self.flush_s)
         if due:
             self.flush()
         return due

@@ -7,7 +7,6 @@ holds the same files of controller and estimator, as these published them at eac
 from __future__ import annotations
 
 import contextlib
-import copy
 import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -28,7 +27,9 @@ from ltv_mpc.messages import NodeSettings
 from ltv_mpc.node import Node
 from ltv_mpc.settings_schema import flat
 from ltv_mpc.vehicle.parameters import Vehicle
-from services.recording.node_settings import NoSettingsError, SettingsByStart, published_settings, vehicle_name
+from services.bus.topics import BY_TYPE
+from services.bus.wire import WireError
+from services.recording.node_settings import vehicle_name
 from services.recording.reader import Recording
 from services.recording.recover import segments
 from services.replay.verdict import Change
@@ -46,9 +47,14 @@ SETTINGS: Mapping[str, type[ControllerConfig] | type[EstimatorConfig]] = {
 }
 """Nodes aboard, whose settings another file may replace: RUN/config/<name>.toml."""
 
+PREFIX = f"{BY_TYPE[NodeSettings].key}/"
 
 EVERY_START = 0
 """In place of an epoch, which is never 0: the settings of a simulation are the same at each start."""
+
+
+class NoSettingsError(LookupError):
+    """The recording does not hold the settings of this start of a node."""
 
 
 class Run:
@@ -61,10 +67,7 @@ class Run:
         self.path, self._source = path, f"recording {path}"
         self.metadata = metadata_of(path)
         self._world = run_config_of(self.metadata, source=self._source) if SCENARIO in self.metadata else None
-        self._replacing: Mapping[str, Path] = {}
-        self._settings: SettingsByStart
-        self.span_ns: tuple[int, int]
-        """Vehicle times of the start and the end."""
+        self._settings: dict[str, dict[int, NodeSettings]] = {}  # by node and epoch, those of the newest start last
         if self._world is not None:
             scenario = self._world.scenario
             aboard = [ControllerNode.name] if scenario.run.perfect_state else [Estimator.name, ControllerNode.name]
@@ -72,9 +75,8 @@ class Run:
             self._settings = {
                 name: {EVERY_START: NodeSettings(node=name, files=files, made_by=made_by)} for name in aboard
             }
-            self.span_ns = scenario.start_ns, scenario.end_ns
             return
-        self._settings, self.span_ns = published_settings(self.recordings())
+        self._read_published()
         if not self._settings.keys() & SETTINGS.keys():
             problem = (
                 f"has no settings to build a node from: neither those of a simulation ({SCENARIO}) nor those that a "
@@ -82,9 +84,18 @@ class Run:
             )
             raise ConfigError(self._source, "", problem)
 
-    def recordings(self) -> list[Recording]:
+    def recording(self) -> Recording:
         """Return the file and the segments that restarted recorders have left beside it."""
-        return [Recording(part) for part in segments(self.path)]
+        return Recording(*segments(self.path))
+
+    def _read_published(self) -> None:
+        """Read the settings that the processes published. Invalid messages are skipped."""
+        for stored in self.recording():
+            if stored.kind is NodeSettings:
+                with contextlib.suppress(WireError):
+                    message, header = stored.typed()
+                    assert isinstance(message, NodeSettings)
+                    self._settings.setdefault(stored.key.removeprefix(PREFIX), {})[header.epoch] = message
 
     @property
     def title(self) -> str:
@@ -113,8 +124,10 @@ class Run:
             raise ConfigError("option --node", "", f"must be one of {', '.join(self.names)}", value=node)
         return (node,)
 
-    def make(self, name: str, epoch: int | None = None) -> Node:
+    def make(self, name: str, epoch: int | None = None, *, settings: Path | None = None) -> Node:
         """Build a new node, as at the start of its process; ``epoch``: the start, None: any.
+
+        ``settings``: the file in place of its own, at all of its starts; None: its own.
 
         Raises ``NoSettingsError``, and ``ConfigError`` if the settings are rejected.
         """
@@ -123,37 +136,35 @@ class Run:
             return next(node for node in make_nodes(world) if node.name == name)
         with _unpacked(self._of(name, epoch).files, source=self._source) as place:
             folder = place / "config"
-            settings = self._settings_in(name, folder)
-            if isinstance(settings, EstimatorConfig):
-                return Estimator(SensorConfig.load(str(folder / "sensors.toml")), settings, load_prior(settings))
+            chosen = _settings_in(name, folder, settings)
+            if isinstance(chosen, EstimatorConfig):
+                return Estimator(SensorConfig.load(str(folder / "sensors.toml")), chosen, load_prior(chosen))
             vehicle, fence = Vehicle.load(str(folder / "vehicle.toml")), folder / "fence.toml"
             reference, soundings = references.load(str(folder / "reference.toml")), place / BATHYMETRY
             kept = fence_for(vehicle, reference, str(fence) if fence.exists() else "")
-            bottom = bathymetry_for(reference, settings.limits, str(soundings) if soundings.exists() else "")
-            node = ControllerNode(vehicle, reference, settings, fence=kept)
+            bottom = bathymetry_for(reference, chosen.limits, str(soundings) if soundings.exists() else "")
+            node = ControllerNode(vehicle, reference, chosen, fence=kept)
             if bottom is not None:
                 node.controller.set_bathymetry(bottom)
             return node
 
-    def settings_of(self, name: str) -> ControllerConfig | EstimatorConfig:
-        """Return the settings of a node that may be replaced, at its newest start."""
+    def changes(self, name: str, path: Path) -> tuple[Change, ...]:
+        """Return the changes that the settings in ``path`` make at the newest start of a node.
+
+        A missing key has its default, as for ``--settings``. Raises ``ConfigError``.
+        """
+        if name not in self.names:
+            raise ConfigError(f"--with {path}", "", f"the recording has no {name} that can be replayed")
         with _unpacked(self._of(name, None).files, source=self._source) as place:
-            return self._settings_in(name, place / "config")
-
-    def with_settings(self, name: str, path: Path) -> Run:
-        """Return the run with the settings in ``path`` for one node, at all of its starts. Raises ``ConfigError``."""
-        changed = copy.copy(self)
-        changed._replacing = {name: path}
-        changed.settings_of(name)
-        return changed
-
-    def _settings_in(self, name: str, folder: Path) -> ControllerConfig | EstimatorConfig:
-        """Return the settings of a node from the files of its start in ``folder``, or from the file in their place."""
-        path = self._replacing.get(name, folder / f"{name}.toml")
-        settings = _load(name, path)
-        if isinstance(settings, EstimatorConfig):
-            return settings
-        return settled(settings, Vehicle.load(str(folder / "vehicle.toml")), source=f"controller settings {path}")
+            run, here = (_settings_in(name, place / "config", file) for file in (None, path))
+        was, is_ = flat(msgspec.to_builtins(run)), flat(msgspec.to_builtins(here))
+        for table in (was, is_):  # a file's folder is not a setting
+            table |= {key: Path(str(table[key])).name for key in ("water_prior",) if key in table}
+        return tuple(
+            Change(key=key, run=was.get(key), here=is_.get(key))
+            for key in {**was, **is_}
+            if was.get(key) != is_.get(key)
+        )
 
     def _of(self, name: str, epoch: int | None) -> NodeSettings:
         starts = self._settings[name]
@@ -188,23 +199,16 @@ def node_of(path: Path) -> str:
     return fits[0]
 
 
-def replaced(run: Run, path: Path) -> tuple[str, Run, tuple[Change, ...]]:
-    """Return the node whose settings the file has, the run with these settings, and the changes.
+def _settings_in(name: str, folder: Path, replacing: Path | None) -> ControllerConfig | EstimatorConfig:
+    """Return the settings of a node from the files of its start in ``folder``, or from the file in their place.
 
-    A missing key has its default, as for ``--settings``. Raises ``ConfigError``.
+    A water prior is named relative to the folder of the file.
     """
-    name = node_of(path)
-    if name not in run.names:
-        raise ConfigError(f"--with {path}", "", f"the recording has no {name} that can be replayed")
-    other = run.with_settings(name, path)
-    return name, other, _changes(run.settings_of(name), other.settings_of(name))
-
-
-def _load(name: str, path: Path) -> ControllerConfig | EstimatorConfig:
-    """Return the settings of controller or estimator in a file; a water prior is named relative to its folder."""
-    if name == ControllerNode.name:
-        return ControllerConfig.load(str(path))
-    return resolve_prior_path(path.parent, EstimatorConfig.load(str(path)))
+    path = replacing or folder / f"{name}.toml"
+    if name == Estimator.name:
+        return resolve_prior_path(path.parent, EstimatorConfig.load(str(path)))
+    settings, vehicle = ControllerConfig.load(str(path)), Vehicle.load(str(folder / "vehicle.toml"))
+    return settled(settings, vehicle, source=f"controller settings {path}")
 
 
 @contextlib.contextmanager
@@ -221,12 +225,3 @@ def _unpacked(files: Mapping[str, str], *, source: str) -> Iterator[Path]:
                 raise
             problem = f"its settings are rejected: {error.source.replace(f'{place}/', '')}"
             raise ConfigError(source, error.field, f"{problem}: {error.problem}", value=error.value) from None
-
-
-def _changes(run: msgspec.Struct, here: msgspec.Struct) -> tuple[Change, ...]:
-    was, is_ = flat(msgspec.to_builtins(run)), flat(msgspec.to_builtins(here))
-    for table in (was, is_):  # a file's folder is not a setting
-        table |= {key: Path(str(table[key])).name for key in ("water_prior",) if key in table}
-    return tuple(
-        Change(key=key, run=was.get(key), here=is_.get(key)) for key in {**was, **is_} if was.get(key) != is_.get(key)
-    )

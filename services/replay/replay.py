@@ -1,46 +1,36 @@
 """Replay of a run, ``ltv-mpc replay RUN``: its nodes step again on their recorded inputs, and outputs are compared.
 
 Memory does not grow with the length of a run: the file is read once, and a bounded part of it is kept
-(``epoch.REACH``).
+(``node_replay.REACH``).
 """
 
 from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from functools import partial
 from pathlib import Path
 
 from ltv_mpc.errors import ConfigError
 from services.replay.comparison import Comparison
 from services.replay.node_replay import NodeReplay, feed
-from services.replay.nodes import Run, replaced
+from services.replay.nodes import Run, node_of
 from services.replay.verdict import MAX_GAPS, Difference, NodeVerdict, ProvenanceDifference, Verdict, WhatIfVerdict
 from services.replay.what_if import WhatIf
 from services.run.provenance import provenance_table
 from services.run.run_config import ORIGIN
 
-Progress = Callable[[int], None]
-"""Callback that receives the vehicle time that the replay has reached."""
-
-
 # --- every output again ----------------------------------------------------------------------------------------------
 
 
-def replay(run: Run, *, only: str | None = None, progress: Progress = lambda _: None) -> Verdict:
+def replay(run: Run, *, only: str | None = None) -> Verdict:
     """Replay every step that can be replayed, and compare its outputs. Raises ``ConfigError``."""
-    started_s, span_ns = time.monotonic(), list[int]()
-
-    def advance(t_ns: int) -> None:
-        span_ns[:] = min((t_ns, *span_ns)), max((t_ns, *span_ns))
-        progress(t_ns)
-
+    started_s = time.monotonic()
     parts = [NodeReplay(name, partial(run.make, name), partial(Comparison, name)) for name in run.only(only)]
-    recordings = run.recordings()
-    feed(recordings, parts, progress=advance)
-    verdicts = tuple(map(_node_verdict, parts))
-    wall_s, vehicle_s = time.monotonic() - started_s, (span_ns[1] - span_ns[0]) / 1e9 if span_ns else 0.0
+    recording = run.recording()
+    vehicle_s = feed(recording, parts)
+    verdicts, wall_s = tuple(map(_node_verdict, parts)), time.monotonic() - started_s
     compared = sum(verdict.steps_compared for verdict in verdicts)
     identical = sum(verdict.steps_identical for verdict in verdicts)
     difference = _first(verdict.first_difference for verdict in verdicts)
@@ -48,7 +38,7 @@ def replay(run: Run, *, only: str | None = None, progress: Progress = lambda _: 
         recording=str(run.path),
         scenario=run.title,
         mode=run.metadata.get("mode", ""),
-        cut=any(recording.cut for recording in recordings),
+        cut=recording.cut,
         vehicle_s=vehicle_s,
         wall_s=wall_s,
         times_real_time=vehicle_s / wall_s,
@@ -90,16 +80,17 @@ def _first(differences: Iterable[Difference | None]) -> Difference | None:
 # --- what another setting would have done ----------------------------------------------------------------------------
 
 
-def what_if(run: Run, settings: Path, *, only: str | None = None, progress: Progress = lambda _: None) -> WhatIfVerdict:
+def what_if(run: Run, settings: Path, *, only: str | None = None) -> WhatIfVerdict:
     """Replay the node whose settings the file has, with these settings. Raises ``ConfigError``."""
-    name, other, changes = replaced(run, settings)
+    name = node_of(settings)
+    changes = run.changes(name, settings)
     if only not in (None, name):
         problem = f"cannot act together with --with {settings}, which holds settings of the {name}"
         raise ConfigError("option --node", "", problem, value=only)
     started_s = time.monotonic()
     comparison = WhatIf(name)
-    part = NodeReplay(name, partial(other.make, name), lambda _: comparison)
-    feed(run.recordings(), [part], progress=progress)
+    part = NodeReplay(name, partial(run.make, name, settings=settings), lambda _: comparison)
+    feed(run.recording(), [part])
     return WhatIfVerdict(
         recording=str(run.path),
         scenario=run.title,

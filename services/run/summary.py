@@ -103,7 +103,7 @@ class GrowingSummary:
 
     def __init__(self, run_config: RunConfig, path: Path) -> None:
         self._recording = Recording(path)
-        self._recording.records.grows = self._grows
+        self._recording.parts[0].grows = self._grows
         self._found: Found | None = None
         self._ended, self._last_look = threading.Event(), False
         self._thread = threading.Thread(target=self._run, args=(run_config,), name="summary", daemon=True)
@@ -112,7 +112,7 @@ class GrowingSummary:
     def result(self, progress: Callable[[float], None]) -> Found | None:
         """Return what is found in the complete file; None if that is not whole, or has been another one."""
         self._ended.set()
-        records = self._recording.records
+        (records,) = self._recording.parts
         while self._thread.is_alive():
             progress(records.position / max(records.size, 1))
             self._thread.join(LOOK_S)

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 
-from ltv_mpc.messages import Applied, ClockMode, ClockState, ClockStep, Estimate, Message
+from ltv_mpc.messages import Applied, Clock, ClockMode, ClockState, ClockStep, Estimate, Message
 from services.bus.topics import BY_TYPE
 from services.runtime.clock import ClockSegment, VehicleClock
 from services.runtime.clock_offset import LATE_NS, STEP_DETECTED_AT, ClockOffset, ClockOffsetEstimator
@@ -44,6 +44,7 @@ STAMPED_INPUTS = (Estimate, Applied)
 SHARED_CLOCK = ClockOffset(ClockMode.SHARED, 0, 0)
 """Offset if one clock is announced for all processes, or while none is followed yet."""
 
+SYNCHRONISED = "vehicle time already follows the estimates: restart this process to use the clock"
 STAMP_REJECTED = "t_ns contradicts the clock of all earlier stamps"
 RECEIPT_REJECTED = "plan_received_t_ns contradicts the clock of all earlier stamps"
 RECEIPT_BEFORE_STEP = "plan_received_t_ns is of a plan that was sent before the clock stepped"
@@ -107,6 +108,18 @@ class ClockSync:
         """Return the clock steps that were recognised since the last call."""
         steps, self._steps = self._steps, []
         return steps
+
+    def take(self, message: Message, epoch: int, m_us: int) -> str:
+        """Follow an announced clock, or add an input that arrived at ``m_us``. Return why it is rejected; empty if not.
+
+        Raises ``ClockError`` if the announced clock cannot be followed.
+        """
+        if not isinstance(message, Clock):
+            return self.check_stamp(message, epoch, m_us)
+        if self.active:
+            return SYNCHRONISED
+        self._clock.follow(message)
+        return ""
 
     def check_stamp(self, message: Message, epoch: int, m_us: int) -> str:
         """Add an input of the publisher ``epoch`` that arrived at ``m_us``. Return why it is rejected; empty if not."""

@@ -12,8 +12,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TypeAlias
 
+from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.messages import (
     Applied,
     ClockStep,
@@ -23,6 +23,7 @@ from ltv_mpc.messages import (
     Health,
     Message,
     Plan,
+    RunEvent,
 )
 from services.runtime.console import Level, Tell, tenfold
 from services.runtime.process_time import step_text
@@ -38,11 +39,6 @@ WARNED_S = (300.0, 60.0, 20.0)
 
 FORGOTTEN = 1.5
 """Share of such a time above which it may be reported again: the time of a drift is not steady."""
-
-Event: TypeAlias = tuple[int, str, str]
-"""Vehicle time (ns), kind and text."""
-
-ARRIVED = "arrived at the end of the reference"
 
 
 class FenceChanges:
@@ -121,7 +117,7 @@ class ControllerChanges:
         self._reported: Mapping[str, int] | None = None  # counts in the newest report of the actuators
         self._since_start: dict[str, int] = {}  # what these counts have grown by
 
-    def on_message(self, message: Message) -> list[Event]:
+    def on_message(self, message: Message) -> list[RunEvent]:
         """Take in a plan of the controller, its fence, or an accepted input.
 
         Return what has changed of the fence, and an arrival, as events.
@@ -129,10 +125,11 @@ class ControllerChanges:
         match message:
             case Plan():
                 self._health_and_authority(message, message.cycle_t_ns)
-                before, self._arrived = self._arrived, message.arrived
-                arrived = [("arrived", Level.INFO, ARRIVED)] if message.arrived and not before else []
-                fence = [("fence", *change) for change in self._fence.update(message.fence)]
-                return self._events(message.cycle_t_ns, [*fence, *arrived])
+                changes = [("fence", *change) for change in self._fence.update(message.fence)]
+                if message.arrived and not self._arrived:
+                    changes.append(("arrived", Level.INFO, "arrived at the end of the reference"))
+                self._arrived = message.arrived
+                return self._events(message.cycle_t_ns, changes)
             case FenceInForce():
                 return self._events(message.t_ns, [("fence", *change) for change in self._fence.in_force(message)])
             case Applied():
@@ -171,10 +168,10 @@ class ControllerChanges:
             self._since_start[text] = self._since_start.get(text, 0) + max(0, count - before[text])
             self._count(report.t_ns, "plans", text, self._since_start[text])
 
-    def _events(self, t_ns: int, changes: Sequence[tuple[str, Level, str]]) -> list[Event]:
+    def _events(self, t_ns: int, changes: Sequence[tuple[str, Level, str]]) -> list[RunEvent]:
         for kind, level, text in changes:
             self._tell(level, kind, text, t_ns=t_ns, fields={})
-        return [(t_ns, kind, text) for kind, _, text in changes]
+        return [RunEvent(t_ns=t_ns, node=ControllerNode.name, kind=kind, text=text) for kind, _, text in changes]
 
     def _state(self, t_ns: int, kind: str, level: Level, text: str, **fields: str | int) -> None:
         """Report a state of this kind if its fields are new."""

@@ -23,7 +23,7 @@ from ltv_mpc.safety.health import HealthState
 from services.bus.message_validation import MessageValidator
 from services.runtime.clock_offset import ClockOffset
 from services.runtime.console import Tell
-from services.runtime.controller_changes import ControllerChanges, Event
+from services.runtime.controller_changes import ControllerChanges
 from services.runtime.node_io import SavedState
 
 PERIOD_US = 1_000_000
@@ -69,20 +69,20 @@ class ControllerStatusReporter:
 
     def on_step(self, outputs: Sequence[Message], took_us: int, now_us: int) -> list[RunEvent]:
         """Record a step whose outputs were published; return an event for each change of mission policy and fence."""
-        changes: list[Event] = []
+        events: list[RunEvent] = []
         for message in outputs:
             if isinstance(message, Plan):
                 if self._plan is None or message.health_why != self._plan.health_why:
                     self.due_us = 0  # screens with the status alone show it at once, too
                 self._plan = message
                 self._cycles.append((now_us, took_us))
-                mission, t_ns = self._node.mission.state, message.cycle_t_ns
+                mission, t_ns, node = self._node.mission.state, message.cycle_t_ns, self._node.name
                 if mission.action is not self._mission_action:
                     text = with_reason(f"mission: {mission.action.value}", mission.why)
-                    changes.append((t_ns, "mission", text))
+                    events.append(RunEvent(t_ns=t_ns, node=node, kind="mission", text=text))
                 self._mission_action = mission.action
-            changes += self._changes.on_message(message)
-        return [RunEvent(t_ns=t_ns, node=self._node.name, kind=kind, text=text) for t_ns, kind, text in changes]
+            events += self._changes.on_message(message)
+        return events
 
     def status(self, now_us: int, t_ns: int, validator: MessageValidator, clock: ClockOffset) -> ControllerStatus:
         """Return the status that is due, and pass it to the sinks."""

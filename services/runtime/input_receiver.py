@@ -86,7 +86,7 @@ class InputReceiver:
         if by_operator and time.clock.newest is None and not stops:
             reason = NO_TIME
         else:
-            reason = time.rejection_reason(message, header.epoch, received_us)
+            reason = time.take(message, header.epoch, received_us)
             self._report_clock_steps(received_us)
         if reason:
             self._validator.reject(reason)
@@ -132,7 +132,6 @@ class InputReceiver:
         time = self._time
         if isinstance(message, Clock):
             self._status.waiting.on_clock(monotonic_us())
-            time.follow(message)
         elif time.master is not None and isinstance(message, NodeStatus):
             time.master.on_status(message, monotonic_us())
         elif time.master is not None and isinstance(message, ClockCommand):

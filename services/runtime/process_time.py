@@ -22,10 +22,6 @@ INPUT_LATENCY_US = 6_000
 started at the instant itself would just miss them and plan on an estimate that is a whole period old."""
 
 
-SYNCHRONISED = "vehicle time already follows the estimates: restart this process to use the clock"
-"""Rejection reason of a clock announcement that comes after the synchronisation with the estimates."""
-
-
 class ClockOptions(NamedTuple):
     """Choice of the clock that a process follows."""
 
@@ -127,24 +123,19 @@ class ProcessTime:
             phase_ns = INPUT_LATENCY_US * 1000 * newest.num // newest.den
             self.schedule.start(newest.vehicle_ns if reading is None else reading, phase_ns=phase_ns)
 
-    def follow(self, message: Clock) -> None:
-        """Follow a clock announcement. Raises ``ClockError`` if the clock cannot be followed."""
-        if self.clock.follow(message):
-            self.start_schedule()
+    def take(self, message: Message, epoch: int, received_us: int) -> str:
+        """Follow a clock, or the stamps of the inputs. Return why a message does not fit the time; empty if it fits.
 
-    def rejection_reason(self, message: Message, epoch: int, received_us: int) -> str:
-        """Return why a message of publisher ``epoch`` does not fit the time that is followed; empty if it fits."""
+        ``epoch``: of its publisher. Raises ``ClockError`` if the clock cannot be followed.
+        """
         if isinstance(message, Obstacles):
             now_ns = self.clock.read(received_us)  # None: not known yet; then the first cycle drops what is ahead
             return "" if now_ns is None else ahead_reason(message, now_ns - self.sync.shift_ns(epoch, received_us))
-        sync = self.sync
-        if isinstance(message, Clock):
-            return SYNCHRONISED if sync.active else ""
-        if not self.syncs:
+        if not (self.syncs or isinstance(message, Clock)):
             return ""
-        was_active = sync.active
-        reason = sync.check_stamp(message, epoch, received_us)
-        if sync.active and not was_active:
+        known = self.clock.newest is not None
+        reason = self.sync.take(message, epoch, received_us)
+        if not known:
             self.start_schedule()
         return reason
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import time
 
-from ltv_mpc.messages import Clock, ClockState, Estimate, Message
+from ltv_mpc.messages import ClockState, Estimate, Message
 from services.bus.topics import BY_TYPE
 from services.runtime.clock import ClockError, ClockSegment, VehicleClock, monotonic_us
 from services.runtime.clock_sync import ClockSync
@@ -47,18 +47,13 @@ class PublicationTime:
 
         Once the vehicle's own clock is followed, a clock that is announced later is ignored: times have one origin.
         """
-        if not isinstance(message, Clock):
-            was_active = self._sync.active
-            self._sync.check_stamp(message, epoch, received_us)
-            if self._sync.active and not was_active:
-                self._say(FOLLOWS_VEHICLE)
-            return
-        if self._sync.active:
-            return
+        was_active = self._sync.active
         try:
-            self.clock.follow(message)
+            self._sync.take(message, epoch, received_us)
         except ClockError as error:  # the messages of any clock master are recorded
             self._say(str(error))
+        if self._sync.active and not was_active:
+            self._say(FOLLOWS_VEHICLE)
 
     def at(self, sent_us: int, received_us: int) -> int | None:
         """Return the vehicle time (ns) of a message's publication; None while it is unknown.

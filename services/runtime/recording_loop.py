@@ -20,13 +20,11 @@ from services.bus.options import BusOptions
 from services.bus.outbox import Outbox, new_epoch
 from services.bus.rate_limit import RateLimit
 from services.bus.roles import HISTORY
-from services.bus.sequence_check import FAR_AHEAD
 from services.bus.session import Reply, open_session
 from services.bus.topics import key_of
 from services.bus.wire import Header, WireError, crc, from_map, header_of, unpack
-from services.recording.acceptance import LATE, NODES, Acceptance
+from services.recording.acceptance import NODES, Acceptance
 from services.recording.history import read_query
-from services.recording.publish_counts import PublishCounts
 from services.recording.segments import SegmentWriter
 from services.runtime.clock import monotonic_us
 from services.runtime.clock_sync import STAMPED_INPUTS
@@ -65,8 +63,9 @@ class RecordingLoop:
         self._time = PublicationTime(start_ns=start_ns, say=say)
         self._waiting: list[tuple[Frame, dict[str, Any], Header]] = []  # unpacked
         self._unknown_keys = RateLimit()
-        self._acceptance = Acceptance()
-        self._publish_counts = PublishCounts()
+        # In a simulation only a restarted recorder begins after the others.
+        self._acceptance = Acceptance(late=writer.resumes or self._time.beside_vehicle)
+        self._losses = self._acceptance.losses
         self.received = 0
         self.rejected = 0
         self._out: Outbox
@@ -75,12 +74,7 @@ class RecordingLoop:
     @property
     def dropped(self) -> int:
         """Number of published messages that are not in the file, as far as known."""
-        return self._acceptance.losses.missing
-
-    @property
-    def missing(self) -> dict[str, int]:
-        """Published minus recorded messages, by process, where the difference is not 0."""
-        return self._publish_counts.missing
+        return self._losses.missing
 
     def serve(self, bus: BusOptions, stop: StopRequest) -> None:
         """Connect, subscribe to every key, record until a stop is requested, publish the last status, disconnect."""
@@ -131,7 +125,7 @@ class RecordingLoop:
                 arrived_us = now_us
                 if frame.received_monotonic_us <= began_us:
                     continue
-            elif not self._publish_counts.unfinished(self._out.epoch) and not self.missing:
+            elif not self._losses.unfinished(self._out.epoch) and not self._losses.by_process():
                 break
             if now_us - arrived_us >= FINAL_SILENCE_US or now_us - began_us >= FINAL_STATUS_US:
                 break
@@ -152,8 +146,7 @@ class RecordingLoop:
         """Count and report the messages that the disk did not take."""
         for key, epoch in self._writer.refused():
             self.received -= 1
-            self._acceptance.losses.mark_lost(key, epoch)
-            self._publish_counts.discount(epoch)
+            self._losses.mark_lost(key, epoch)
         for text in self._writer.news():
             self._say(text)
             self._out.publish(RunEvent(t_ns=self._now_ns, node=NAME, kind="disk", text=text))
@@ -164,8 +157,8 @@ class RecordingLoop:
 
     def _account(self, unwritten: int) -> str:
         """Return the losses as a text; empty if there are none."""
-        gaps = [f"{count} of {node}" for node, count in self.missing.items()]
-        gaps += [f"{count} on {key}" for key, count in self._acceptance.losses.by_key().items()]
+        gaps = [f"{count} of {node}" for node, count in self._losses.by_process().items()]
+        gaps += [f"{count} on {key}" for key, count in self._losses.by_key().items()]
         gaps += [f"{unwritten} that still waited to be written"] if unwritten else []
         return f"lost: {', '.join(gaps)}" if gaps else ""
 
@@ -226,17 +219,11 @@ class RecordingLoop:
         assert t_ns is not None
         self._writer.write_plain(frame.key, kind, plain_map, t_ns, crc(frame.payload))
         self.received += 1
-        # A process that has published before this recorder began is counted from its next message on. In a simulation
-        # only a restarted recorder begins after the others.
-        begins_late = self._writer.resumes or self._time.beside_vehicle
-        if not self._publish_counts.count(header.epoch, late=begins_late and header.sequence > 0):
-            is_new = self._acceptance.losses.start_at(frame.key, header.epoch, header.sequence)
-            if is_new and kind is StepRecord and not self._writer.resumes:
-                self._say(BEGAN_BEFORE.format(plain_map.get("node")))
         refused = self._acceptance.count(frame.topic, frame.key, header, frame.received_monotonic_us)
-        if refused and refused is not LATE and not refused.startswith(FAR_AHEAD):
-            self._publish_counts.discount(header.epoch)
+        resumes = self._writer.resumes
+        if kind is StepRecord and not (refused or resumes) and self._losses.begins_late(frame.key, header.epoch):
+            self._say(BEGAN_BEFORE.format(plain_map.get("node")))
         self._status.on_delivery(header.sent_monotonic_us, frame.received_monotonic_us, monotonic_us())
         named = message is not None and message.node in NODES and frame.key == key_of(NodeStatus, message.node)
         if isinstance(message, NodeStatus) and message.finished and named and not refused:
-            self._publish_counts.set_published(header.epoch, message.node, message.published)
+            self._losses.set_published(header.epoch, message.node, message.published)

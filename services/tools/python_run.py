@@ -24,7 +24,7 @@ from ltv_mpc.settings_schema import scalar_fields, suggestion
 from ltv_mpc.validation import bounds
 from services.bus import topics
 from services.bus.wire import WireError
-from services.recording.reader import read_segments
+from services.recording.reader import Recording
 from services.recording.recover import segments
 from services.run import folder
 from services.run.nodes import make_nodes
@@ -123,7 +123,7 @@ class Run(Mapping[str, "Table"]):
         """
         recording = folder.find(str(path))
         messages: dict[str, list[Message]] = {}
-        for stored in read_segments(segments(recording)):
+        for stored in Recording(*segments(recording), past_losses=True):
             if stored.kind not in (None, StepRecord):
                 try:
                     messages.setdefault(stored.key, []).append(stored.message())

@@ -61,7 +61,7 @@ def read(recording: Path, *, rows: int = ROWS) -> PlotData:
 
     Only accepted messages are shown (``Acceptance``). Raises ``ConfigError`` if the file is not a recording.
     """
-    recordings = [Recording(path, past_losses=True) for path in segments(recording)]
+    parts = Recording(*segments(recording), past_losses=True)
     sieves: dict[tuple[type[Message], int], _Sieve] = {}  # by type and source: each source has rows of its own
 
     def passes(stored: StoredMessage, header: Header) -> bool:
@@ -70,27 +70,24 @@ def read(recording: Path, *, rows: int = ROWS) -> PlotData:
             return True
         return sieves.setdefault((kind, header.epoch), _Sieve(OFTEN[kind], rows)).passes(stored.t_ns)
 
-    metadata: dict[str, str] = {}
     files: dict[str, str] = {}  # of the processes that published their settings
     start_ns = 0
     safety = RunSafety()
     acceptance: Acceptance | None = None
     collector: Collector | None = None
-    for part in recordings:
-        for stored in part.stored():
-            metadata = metadata or part.metadata
-            if stored.kind not in SHOWN:
-                continue
-            if collector is None or acceptance is None:
-                start_ns = stored.t_ns if metadata.get("mode") == VEHICLE_MODE else 0
-                collector, acceptance = Collector(rows=rows, origin_ns=start_ns), Acceptance(vehicle_of(metadata))
-                collector.set_files(metadata)
-            for message, header, _ in acceptance.take(stored, SHOWN, passes):
-                collector.add(message, header.epoch)
-                safety.add(message, header.epoch)
-                if isinstance(message, NodeSettings):
-                    files |= message.files
-    metadata = {**files, **metadata}
+    for stored in parts:
+        if stored.kind not in SHOWN:
+            continue
+        if collector is None or acceptance is None:
+            start_ns = stored.t_ns if parts.metadata.get("mode") == VEHICLE_MODE else 0
+            collector, acceptance = Collector(rows=rows, origin_ns=start_ns), Acceptance(vehicle_of(parts.metadata))
+            collector.set_files(parts.metadata)
+        for message, header, _ in acceptance.take(stored, SHOWN, passes):
+            collector.add(message, header.epoch)
+            safety.add(message, header.epoch)
+            if isinstance(message, NodeSettings):
+                files |= message.files
+    metadata = {**files, **parts.metadata}
     collector = collector or Collector(rows=rows)
     collector.set_files(metadata)
     return PlotData(
@@ -100,6 +97,6 @@ def read(recording: Path, *, rows: int = ROWS) -> PlotData:
         omitted_marks=collector.marks.omitted,
         start_s=start_ns / 1e9,
         safety=safety,
-        cut=any(part.cut for part in recordings),
+        cut=parts.cut,
         metadata=metadata,
     )

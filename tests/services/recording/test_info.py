@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from ltv_mpc.messages import Estimate, NodeSettings, RunEvent
 from services.recording import info
+from services.recording.loss_accounting import SequenceGaps
 from services.recording.recover import segments
-from services.recording.sequence_gaps import SequenceGaps
 from services.recording.writer import VEHICLE_MODE
 from services.reporting import log_text
 from tests.services.recording.recordings import START_NS, depth, foreign, write, write_depths

@@ -136,7 +136,6 @@ def test_a_map_that_json_cannot_hold_is_refused_and_leaves_the_file_as_it_was(pa
         with pytest.raises(wire.WireError, match="not a plain map"):
             writer.write_plain("sensor/depth", PressureDepth, {"sequence": 1, "depth_m": object()}, 0)
         put(writer, 2)
-        assert writer.messages == 2
     assert sequences(path) == [0, 2]
 
 

@@ -11,7 +11,7 @@ from services.bus import wire
 from services.bus.wire import Header
 from services.recording.reader import StoredMessage
 from services.replay.comparison import Comparison
-from services.replay.epoch import REACH, Epoch, Frames
+from services.replay.node_replay import REACH, Epoch, Frames
 
 
 def depth(sequence: int) -> tuple[StoredMessage, Header]:

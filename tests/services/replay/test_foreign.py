@@ -21,7 +21,7 @@ from services.recording.reader import Recording
 from services.recording.writer import RunWriter
 from services.replay import nodes
 from services.replay import replay as engine
-from services.replay.epoch import received_message
+from services.replay.node_replay import received_message
 from tests.services.bus.messages import EXAMPLES
 
 HEADER = wire.Header(epoch=77, sequence=3, sent_monotonic_us=5)

@@ -92,7 +92,7 @@ def test_what_is_written_is_read_beside_it_and_a_file_without_an_end_is_left_to_
     half = len(content) // 2
     path.write_bytes(content[:half])
     growing, cut = GrowingSummary(run_config, path), GrowingSummary(run_config, path)
-    records = growing._recording.records
+    (records,) = growing._recording.parts
     until(lambda: records.position > half // 2)
     assert cut.result(at_once.append) is None
     with path.open("ab") as file:
