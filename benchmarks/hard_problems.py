@@ -66,22 +66,21 @@ def craft(name: str) -> tuple[Vehicle, Performance, float]:
     return vehicle, performance(vehicle), settled(ControllerConfig(), vehicle).horizon_s
 
 
-def draw(seed: int, name: str, *, limited: bool = True) -> tuple[ControllerConfig, Estimate]:
+def draw(seed: int, name: str) -> tuple[ControllerConfig, Estimate]:
     """Draw the settings and the first estimate of a problem; the point lies at the origin.
 
     Parameters
     ----------
     seed : of the problem.
     name : of the shipped vehicle.
-    limited : whether the motion has limits.
     """
     rng = np.random.default_rng([seed, 5])
     _, can, horizon_s = craft(name)
     top, turn = can.top_speed_ahead_mps or 0.0, can.turning_rate_starboard_radps or 0.0
     kind, shares = rng.integers(3), rng.uniform(0.2, 1.0, 2)
     limits = MotionLimits.symmetric(
-        surge_mps=float(shares[0] * top) if limited and kind != 0 else None,
-        yaw_rate_radps=float(shares[1] * turn) if limited and kind != 1 else None,
+        surge_mps=float(shares[0] * top) if kind != 0 else None,
+        yaw_rate_radps=float(shares[1] * turn) if kind != 1 else None,
     )
     away, bearing, heading, course, set_to = rng.uniform([0.5, *[-math.pi] * 4], [30.0, *[math.pi] * 4])
     speed, drift = rng.uniform(0.0, top * np.array([0.5, MAX_CURRENT_SHARE]))

@@ -87,17 +87,15 @@ def style(*, page: bool = False) -> Iterator[None]:
         yield
 
 
-def legend_above(axes: Axes, title: str, handles: Sequence[Artist] | None = None) -> None:
+def legend_above(axes: Axes, title: str, handles: Sequence[Artist]) -> None:
     """Place title and legend above the axes, where they cover no data.
 
     Parameters
     ----------
-    axes : its labelled artists are in the legend if ``handles`` is None.
+    axes : of the panel.
     title : title of the panel; "" for none.
     handles : artists in the legend; with none of them the panel has a title alone.
     """
-    if handles is None:
-        handles = axes.get_legend_handles_labels()[0]
     if not handles:
         axes.set_title(title)
         return

@@ -18,8 +18,7 @@ from ltv_mpc.control.config import MotionLimits
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Array
 from ltv_mpc.references.base import BaseReference
-from ltv_mpc.references.csv_places import read_places
-from ltv_mpc.references.geodesy import DEPTH, METRES, Origin
+from ltv_mpc.references.geodesy import DEPTH, METRES, Origin, read_places
 
 MAX_DRYING_M = 100.0
 """Largest height of land above the surface, a negative depth: charts have drying heights."""

@@ -181,22 +181,6 @@ def read_bytes(path: Path, *, what: str, max_bytes: int = MAX_FILE_BYTES) -> byt
             raise ConfigError(f"{what} {path}", "", f"cannot be read: {error.strerror}") from None
 
 
-def read_json(path: Path, *, what: str) -> dict[str, Any]:
-    """Read a file that holds a JSON object.
-
-    Parameters
-    ----------
-    path : file.
-    what : kind of file for errors.
-
-    Raises
-    ------
-    ConfigError
-        As ``read_text``, or if it is no JSON object.
-    """
-    return parse_json(read_text(path, what=what), f"{what} {path}")
-
-
 def parse_json(text: str | bytes, source: str) -> dict[str, Any]:
     """Return the object of a JSON text.
 
@@ -251,7 +235,7 @@ def is_path(name: str) -> bool:
     return "/" in name or "\\" in name or PurePath(name).suffix[1:2].isalpha()
 
 
-def find(name: str, *, what: str, package: str | None, suffix: str = ".toml") -> Path:
+def find(name: str, *, what: str, package: str | None) -> Path:
     """Return the path of NAME|FILE.
 
     Parameters
@@ -259,7 +243,6 @@ def find(name: str, *, what: str, package: str | None, suffix: str = ".toml") ->
     name : bare name of a shipped file, or a path with a suffix or a slash.
     what : kind of file for errors.
     package : package whose folder holds the shipped files; None if no file of this kind is shipped.
-    suffix : suffix of the shipped files.
 
     Raises
     ------
@@ -268,8 +251,7 @@ def find(name: str, *, what: str, package: str | None, suffix: str = ".toml") ->
     """
     if is_path(name):
         return Path(name)
-    shipped = iter(()) if package is None else _shipped(package, suffix)
-    files = {path.name.removesuffix(suffix): path for path in shipped}
+    files = {} if package is None else {path.stem: path for path in _shipped(package)}
     if name in files:
         return files[name]
     hints = ["no shipped name"]
@@ -339,13 +321,13 @@ def _without_none(table: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _shipped(package: str, suffix: str) -> Iterator[Path]:
+def _shipped(package: str) -> Iterator[Path]:
     parent, _, folder = package.rpartition(".")
     try:
         here = Path(str(resources.files(parent))) / folder
     except ModuleNotFoundError:
         return iter(())
-    return here.glob(f"*{suffix}")
+    return here.glob("*.toml")
 
 
 def _scalars(value: Any, path: tuple[str | int, ...], source: str) -> Iterator[tuple[settings_schema.Path, Any]]:

@@ -76,20 +76,19 @@ def read_profile(path: str | Path, notes: list[str] | None = None) -> CurrentPro
     return CurrentProfile(depth_m=depth, north_mps=north, east_mps=east, sd_mps=sd)
 
 
-def read_prior(path: str | Path, notes: list[str] | None = None) -> WaterPrior:
+def read_prior(path: str | Path) -> WaterPrior:
     """Read a current profile as a prior; both columns of standard deviations are required.
 
     Parameters
     ----------
     path : of the file.
-    notes : as in ``read_profile``.
 
     Raises
     ------
     ConfigError
         With file, line, field, value and bound.
     """
-    depth, north, east, sd, common = _read(Path(path), of_prior=True, notes=notes)
+    depth, north, east, sd, common = _read(Path(path), of_prior=True, notes=None)
     return WaterPrior(depth_m=depth, north_mps=north, east_mps=east, sd_mps=sd, sd_common_mps=float(common[0]))
 
 

@@ -40,34 +40,6 @@ def write(M: Matrix3, R: Array) -> None:
 
 
 @jit
-def rotate(R: Array, x: Array, out: Array) -> None:
-    """Write out = R x. numba's own product takes seconds to compile in each process that fills the cache.
-
-    Parameters
-    ----------
-    R : (3, 3) array.
-    x : (3,) vector.
-    out : (3,) another array; changes.
-    """
-    for i in range(3):
-        out[i] = R[i, 0] * x[0] + R[i, 1] * x[1] + R[i, 2] * x[2]
-
-
-@jit
-def cross(a: Array, b: Array, out: Array) -> None:
-    """Write out = a x b.
-
-    Parameters
-    ----------
-    a, b : (3,) vectors.
-    out : (3,) another array; changes.
-    """
-    out[0] = a[1] * b[2] - a[2] * b[1]
-    out[1] = a[2] * b[0] - a[0] * b[2]
-    out[2] = a[0] * b[1] - a[1] * b[0]
-
-
-@jit
 def transpose(M: Matrix3) -> Matrix3:
     """Return M^T."""
     return M[0], M[3], M[6], M[1], M[4], M[7], M[2], M[5], M[8]

@@ -202,26 +202,3 @@ def _slope(true: Body, s: State, n: Triple, held: bool, water: WaterSample) -> S
     if held or (z <= 0.0 and w <= 0.0 and heave < 0.0):
         return north, east, surge, sway, heading, yaw, 0.0, 0.0
     return north, east, surge, sway, heading, yaw, w, heave
-
-
-@jit
-def simulate(flat: Array, vehicle: MotionState, t: Array, u: Array, water: WaterSample) -> Array:
-    """Integrate ``vehicle`` from t[0] to t[M] in place, in one step an interval; afloat up to t = 0.
-
-    Parameters
-    ----------
-    flat : the true vehicle, from ``pack``.
-    vehicle : state, revolutions and thrust at t[0]; those at t[M] afterwards.
-    t : (M+1,) times (s).
-    u : (M+1, 3) commanded thrust (N) at these times.
-    water : the water column during all steps.
-
-    Returns
-    -------
-    (M, 2) positions north and east (m) after each step.
-    """
-    out = np.empty((len(t) - 1, 2))
-    for k in range(len(t) - 1):
-        step(flat, vehicle, u[k], u[k + 1], t[k + 1] <= 0.0, t[k + 1] - t[k], water)
-        out[k] = vehicle.s[:2]
-    return out

@@ -290,20 +290,13 @@ def observe(out: Array, vehicle: MotionState, factors: Triple, t: float, tilt: T
     copy_to(out[:8], s)
     cn, ce = velocity_at(s[6], water)
     # [n', e'] = R(psi) [u, v] + c(z)
-    north, east = level_to_ned(s[2], s[3], s[4])
-    out[8], out[9] = north + cn, east + ce
+    cos, sin = math.cos(s[4]), math.sin(s[4])
+    out[8], out[9] = cos * s[2] - sin * s[3] + cn, sin * s[2] + cos * s[3] + ce
     out[10], out[11] = roll_and_pitch(t, tilt)
     out[12] = wrap_angle(s[4])
     out[13], out[14] = cn, ce
     for i in range(3):
         out[15 + i] = factors[i] * vehicle.F[i]
-
-
-@jit
-def level_to_ned(u: float, v: float, heading: float) -> tuple[float, float]:
-    """Return R(heading) [u, v]: north and east of a horizontal vector given forward and to starboard."""
-    cos, sin = math.cos(heading), math.sin(heading)
-    return cos * u - sin * v, sin * u + cos * v
 
 
 def _triple(a: Array) -> Triple:

@@ -22,11 +22,9 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import LinAlgError
-from scipy.linalg.lapack import dpotrf, dtrtrs
-from scipy.sparse import csr_array, diags_array
-from scipy.sparse.linalg import splu
-from scipy.special import gammaincinv
+from scipy.interpolate import make_lsq_spline
+from scipy.linalg import solve_triangular
+from scipy.stats import chi2
 
 from ltv_mpc.frames import rotation_log
 from ltv_mpc.localisation.filter.state import ACCELEROMETER_BIAS, ATTITUDE, GYRO_BIAS, POSITION, VELOCITY, Belief
@@ -74,21 +72,17 @@ def squared(error: Array, covariance: Array) -> float:
     # P = D C D with correlations C: water (m/s) and gyro biases (rad/s) differ by 1e4 in size
     variance = np.diagonal(covariance)
     d = np.sqrt(np.where(variance > 0, variance, 1.0))
-    L, info = dpotrf(covariance / np.outer(d, d), lower=1)
-    if info != 0:
-        raise LinAlgError("covariance is not positive definite")
-    y, _ = dtrtrs(L, error / d, lower=1)
+    y = solve_triangular(np.linalg.cholesky(covariance / np.outer(d, d)), error / d, lower=True)
     return float(y @ y)
 
 
 def band(dof: npt.ArrayLike, probability: float = 0.95) -> tuple[Array, Array]:
     """Return the chi-square quantiles that enclose ``probability``, with equal tails."""
-    k = 0.5 * np.asarray(dof, dtype=np.float64)
-    tail = 0.5 * (1.0 - probability)
-    return np.asarray(2.0 * gammaincinv(k, tail)), np.asarray(2.0 * gammaincinv(k, 1.0 - tail))
+    low, high = chi2.interval(probability, dof)
+    return low, high
 
 
-def consistency(squares: npt.ArrayLike, dof: npt.ArrayLike, probability: float = 0.95) -> Consistency:
+def consistency(squares: npt.ArrayLike, dof: npt.ArrayLike) -> Consistency:
     """Combine normalised squares (R, T) with degrees of freedom (R, T), 0 if a run has no value at an instant.
 
     Instants without any value are left out. Raises ``ValueError`` if none remains.
@@ -97,7 +91,7 @@ def consistency(squares: npt.ArrayLike, dof: npt.ArrayLike, probability: float =
     some = degrees > 0
     if not some.any():
         raise ValueError("no sample has a degree of freedom")
-    low, high = band(degrees[some], probability)
+    low, high = band(degrees[some])
     return Consistency(total[some], degrees[some], low, high)
 
 
@@ -189,17 +183,13 @@ class GridProjection:
     def __init__(self, node_m: Array, bend_m: Array) -> None:
         ends = np.union1d(node_m, bend_m[(bend_m > node_m[0]) & (bend_m < node_m[-1])])
         h = np.diff(ends)
-        self.depth_m = np.concatenate([ends[:-1], ends[:-1] + 0.5 * h, ends[1:]])  # sampling depths, (D,)
-        share = np.concatenate([h, 4.0 * h, h]) / (6.0 * (ends[-1] - ends[0]))
-        k = np.clip(np.searchsorted(node_m, self.depth_m, side="right") - 1, 0, len(node_m) - 2)
-        t = (self.depth_m - node_m[k]) / (node_m[k + 1] - node_m[k])
-        rows = np.arange(len(k))
-        hats = np.concatenate([1.0 - t, t]), (np.concatenate([rows, rows]), np.concatenate([k, k + 1]))
-        hats_at = csr_array(hats, shape=(len(k), len(node_m)))
-        self._weighted = hats_at.T @ diags_array(share)
-        self._solve = splu((self._weighted @ hats_at).tocsc()).solve
+        self.depth_m = np.interp(np.arange(2 * len(h) + 1), 2 * np.arange(len(ends)), ends)
+        """(D,) sampling depths: the ends of the pieces and their middles."""
+        share = np.empty(len(self.depth_m))
+        share[1::2], share[::2] = 4.0 * h, np.append(h, 0.0) + np.append(0.0, h)
+        self._root, self._knots = np.sqrt(share), node_m[[0, *range(len(node_m)), -1]]
 
     def fit(self, water_mps: Array) -> Array:
         """Return c*, (G, 2), for the current at ``depth_m``, (D, 2) (m/s)."""
-        fitted: Array = self._solve(self._weighted @ water_mps)
+        fitted: Array = make_lsq_spline(self.depth_m, water_mps, self._knots, k=1, w=self._root).c
         return fitted

@@ -38,15 +38,15 @@ class Timed(NamedTuple):
     machine: Machine
 
 
-def timed(cycles: int, *, seed: int = 0) -> Timed:
+def timed(cycles: int) -> Timed:
     """Measure this number of cycles at each horizon, on the problems of ``ltv-mpc profile``."""
     before = load()
     found = []
     for horizon_s in COMPUTING_S:
         config = settled(ControllerConfig(horizon_s=horizon_s), VEHICLE)
-        episodes = problems.simulated(config.stages, cycles, seed)
-        warm_up = problems.simulated(config.stages, 1, seed)[0]._replace(cycles=min(WARM_UP, cycles))
-        (samples,) = measure(episodes, [SOLVER], warm_up=warm_up, order=random.Random(seed), progress=lambda: None)
+        episodes = problems.simulated(config.stages, cycles, seed=0)
+        warm_up = problems.simulated(config.stages, 1, seed=0)[0]._replace(cycles=min(WARM_UP, cycles))
+        (samples,) = measure(episodes, [SOLVER], warm_up=warm_up, order=random.Random(0), progress=lambda: None)
         found.append(Cycle(horizon_s, config.reach_s, Spread.of(samples.cycle_us), samples))
     return Timed(found, machine(before))
 

@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from scipy.interpolate import make_interp_spline
 from scipy.linalg import expm, solve_discrete_are
 
 from benchmarks.rivals.pid import PERIOD_S, nearer_axis
@@ -49,7 +50,8 @@ class Lqr:
         R = weights["thrust"] * np.eye(2)  # of F / max
         self._speeds = np.geomspace(weights["least_mps"], 1.0, SPEEDS)
         self._gains = {
-            sign: np.array([self._gain(sign * speed, Q, R) for speed in self._speeds]) for sign in (1.0, -1.0)
+            sign: make_interp_spline(self._speeds, [self._gain(sign * speed, Q, R) for speed in self._speeds], k=1)
+            for sign in (1.0, -1.0)
         }
 
     def thrust(self, estimate: Estimate, target_m: Pair) -> Pair:
@@ -67,16 +69,9 @@ class Lqr:
         u, v = turned(through, psi)
         x = np.array([*turned(off, trim), u - sign * speed, v, wrap_angle(psi - trim), estimate.yaw_rate_radps])
         drag = sign * (self._p.linear_surge + self._p.quadratic_surge * speed) * speed
-        port, starboard = 0.5 * drag - self._at(sign, speed) @ x
+        gain = self._gains[sign](np.clip(speed, self._speeds[0], self._speeds[-1]))
+        port, starboard = 0.5 * drag - gain @ x
         return float(port), float(starboard)
-
-    def _at(self, sign: float, speed: float) -> Array:
-        gains = self._gains[sign]
-        i = int(np.clip(np.searchsorted(self._speeds, speed) - 1, 0, SPEEDS - 2))
-        low, high = self._speeds[i], self._speeds[i + 1]
-        share = float(np.clip((speed - low) / (high - low), 0.0, 1.0))
-        between: Array = gains[i] + share * (gains[i + 1] - gains[i])
-        return between
 
     def _gain(self, u: float, Q: Array, R: Array) -> Array:
         """Return the gain (2, 6) at the trim speed u (m/s), in axes along the trim's heading."""

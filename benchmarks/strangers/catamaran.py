@@ -34,7 +34,7 @@ def hull() -> Hull:
     gravity = (HULL_KG * HULL_AT + PAYLOAD_KG * PAYLOAD_AT) / mass
     gyration = HULL_KG * np.diag([0.4 * BEAM_M, 0.25 * LENGTH_M, 0.25 * LENGTH_M]) ** 2
     inertia = gyration - sum(
-        part * _cross(at) @ _cross(at)
+        part * np.cross(np.eye(3), at) @ np.cross(np.eye(3), at)
         for part, at in ((HULL_KG, HULL_AT - gravity), (PAYLOAD_KG, PAYLOAD_AT - gravity))
     )
     added = np.diag([0.1 * HULL_KG, 1.5 * HULL_KG, HULL_KG, *(np.array([0.2, 0.8, 1.7]) * np.diag(inertia))])
@@ -76,8 +76,3 @@ def hull() -> Hull:
         arms_m=(PONTOON_AT_M, PONTOON_AT_M),
         lag_s=PROPELLER_S,
     )
-
-
-def _cross(a: np.ndarray) -> np.ndarray:
-    x, y, z = a
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

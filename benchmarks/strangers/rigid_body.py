@@ -27,6 +27,7 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.optimize import brentq
 
 from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array, Pair
@@ -75,13 +76,8 @@ class Hull:
         return float((self.D[SURGE, SURGE] + quadratic * abs(speed_mps)) * speed_mps)
 
     def top_speed_mps(self) -> float:
-        """Return the steady speed ahead at full thrust, by bisection."""
-        low, high = 0.0, 20.0
-        for _ in range(60):
-            u = 0.5 * (low + high)
-            thrust = 2.0 * self.max_N * max(0.0, 1.0 - self.lost * u)
-            low, high = (u, high) if thrust > self.drag_N(u) else (low, u)
-        return low
+        """Return the steady speed ahead at full thrust."""
+        return float(brentq(lambda u: 2.0 * self.max_N * max(0.0, 1.0 - self.lost * u) - self.drag_N(u), 0.0, 20.0))
 
 
 class Plant:
@@ -180,10 +176,6 @@ class Plant:
         _, _, _, w, x, y, z = self.state[:7]
         return math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y)), math.asin(2 * (w * y - x * z))
 
-    def energy_J(self) -> float:
-        """Return the kinetic energy relative to the water."""
-        return float(0.5 * self.velocity @ self.hull.M @ self.velocity)
-
 
 @jit
 def advance(
@@ -223,20 +215,14 @@ def advance(
                 else:
                     thrust[stage, i] = n
         slope(x, k1, numbers, M, inverse, D, across, along, outside, thrust[0])
-        for i in range(13):
-            y[i] = x[i] + 0.5 * h * k1[i]
+        y[:] = x[:13] + 0.5 * h * k1
         slope(y, k2, numbers, M, inverse, D, across, along, outside, thrust[1])
-        for i in range(13):
-            y[i] = x[i] + 0.5 * h * k2[i]
+        y[:] = x[:13] + 0.5 * h * k2
         slope(y, k3, numbers, M, inverse, D, across, along, outside, thrust[1])
-        for i in range(13):
-            y[i] = x[i] + h * k3[i]
+        y[:] = x[:13] + h * k3
         slope(y, k4, numbers, M, inverse, D, across, along, outside, thrust[2])
-        for i in range(13):
-            x[i] += h / 6.0 * (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + k4[i])
-        length = math.sqrt(x[3] ** 2 + x[4] ** 2 + x[5] ** 2 + x[6] ** 2)
-        for i in range(3, 7):
-            x[i] /= length
+        x[:13] += h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+        x[3:7] /= math.sqrt(x[3] ** 2 + x[4] ** 2 + x[5] ** 2 + x[6] ** 2)
         a, b, c, d = x[3], x[4], x[5], x[6]
         # first two rows of R(q)
         r00, r01, r02 = 1.0 - 2.0 * (c * c + d * d), 2.0 * (b * c - a * d), 2.0 * (b * d + a * c)
@@ -281,14 +267,9 @@ def slope(
     out[4] = 0.5 * (a * p + c * r - d * q)
     out[5] = 0.5 * (a * q + d * p - b * r)
     out[6] = 0.5 * (a * r + b * q - c * p)
-    f, momentum = np.empty(6), np.empty(6)
-    for i in range(6):
-        one, two = 0.0, 0.0
-        for j in range(6):
-            one += M[i, j] * x[7 + j]
-            two += D[i, j] * x[7 + j]
-        momentum[i] = one
-        f[i] = -two - numbers[i] * abs(x[7 + i]) * x[7 + i]
+    nu = x[7:13]
+    momentum = (M * nu).sum(axis=1)
+    f = -(D * nu).sum(axis=1) - numbers[:6] * np.abs(nu) * nu
     for k in range(across.shape[0]):
         at, area = across[k, 0], across[k, 1]
         side, down = v + at * r, w - at * q
@@ -325,11 +306,7 @@ def slope(
     f[3] -= q * h2 - r * h1 + v * l2 - w * l1
     f[4] -= r * h0 - p * h2 + w * l0 - u * l2
     f[5] -= p * h1 - q * h0 + u * l1 - v * l0
-    for i in range(6):
-        total = 0.0
-        for j in range(6):
-            total += inverse[i, j] * f[j]
-        out[7 + i] = total
+    out[7:] = (inverse * f).sum(axis=1)
 
 
 def rigid_body_inertia(mass_kg: float, gravity_m: tuple[float, float, float], about_gravity: Array) -> Array:
@@ -341,8 +318,7 @@ def rigid_body_inertia(mass_kg: float, gravity_m: tuple[float, float, float], ab
     gravity_m : centre of gravity.
     about_gravity : (3, 3) inertia about the centre of gravity (kg m2).
     """
-    x, y, z = gravity_m
-    S = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    S = np.cross(np.eye(3), gravity_m)  # S a = gravity_m x a
     M = np.zeros((6, 6))
     M[:3, :3] = mass_kg * np.eye(3)
     M[:3, 3:] = -mass_kg * S

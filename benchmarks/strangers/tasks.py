@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
+import shapely
 
 from benchmarks.strangers.flight import Conditions, Flight, Ours, Pilot, Start, fly, load
 from benchmarks.strangers.rival import Rival
@@ -38,7 +39,6 @@ class Task(NamedTuple):
     ahead_deg: float | None = None  # heading of the start; None: random
 
 
-ORIGIN: Corners = ((0.0, 0.0),)
 SQUARE: Corners = ((0.0, 0.0), (20.0, 0.0), (20.0, 20.0), (0.0, 20.0), (0.0, 0.0))
 TASKS = {
     "hold": Task(((0.0, ((4.0, 3.0),)),), 100.0, 0.3),
@@ -149,23 +149,13 @@ def figures(task: Task, flight: Flight, conditions: Conditions, max_N: float) ->
                 settled_s = max(settled_s, conditions.released_s[1] + SETTLING_S)
             counts, error = t_s >= settled_s, distance
         else:
-            counts, error = t_s <= arrival_s, _off_path(point, corners)
+            counts, error = t_s <= arrival_s, shapely.distance(shapely.LineString(corners), shapely.points(point))
         errors.append(error[counts])
         nominal.append(flight.nominal[during][counts])
     error = np.concatenate(errors)
     content = np.concatenate(nominal) & (error > FAR_M)
     force = float(np.abs(flight.track[:, -2:]).mean()) / max_N
     return Figures(float(error.mean()), float(error.max()), float(np.mean(arrivals)), force, float(content.mean()))
-
-
-def _off_path(point: Array, corners: Corners) -> Array:
-    """Return the distance (M,) of points (M, 2) from a polyline."""
-    off = np.full(len(point), np.inf)
-    for a, b in zip(np.array(corners), np.array(corners[1:]), strict=False):
-        way = b - a
-        share = np.clip((point - a) @ way / (way @ way), 0.0, 1.0)
-        off = np.minimum(off, np.hypot(*(point - a - share[:, None] * way).T))
-    return off
 
 
 def _covered(point: Array, corners: Corners) -> Array:

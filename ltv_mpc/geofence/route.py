@@ -71,7 +71,8 @@ class Router:
         nodes = np.array(list(_nodes(zones, need * OUTSIDE))).reshape(-1, 2)
         self.nodes = nodes[are_clear(zones, self.need - SLACK_M, nodes)]
         """(V, 2) points at which a way may turn, north and east (m)."""
-        self._lengths = np.full((len(self.nodes), len(self.nodes)), np.nan)  # filled where a search needs them
+        # (V, V) between nodes that see each other (m), else infinite; NaN where no search has needed it yet
+        self._lengths = np.full((len(self.nodes), len(self.nodes)), np.nan)
         self._way = np.empty((0, 2))
         self._goal = np.full(2, np.nan)  # of the search that is kept, as a point keeps it for many cycles
         self._from_goal = Search(np.empty(0), np.empty(0, dtype=np.int64), np.empty(0, dtype=np.bool_))
@@ -138,12 +139,12 @@ class Router:
         if not np.array_equal(goal, self._goal):
             self._goal = goal.copy()
             self._from_goal = self._begin(goal)
-        k = _search(self.zones, self.need, self._lengths, nodes, self._from_goal, start)
+        k = self._search(self._from_goal, start)
         if k >= 0:
             return np.vstack([nodes[self._from_goal.chain(k)], goal])
         # No way: to the node that can be reached and is nearest to the goal.
         from_start = self._begin(start)
-        _search(self.zones, self.need, self._lengths, nodes, from_start, goal)  # to its end: the goal is not reached
+        self._search(from_start, goal)  # to its end: the goal is not reached
         near = np.where(np.isfinite(from_start.length), np.hypot(*(nodes - goal).T), np.inf)
         k = int(np.argmin(near))
         if not np.isfinite(near[k]) or near[k] >= math.dist(start, goal):
@@ -155,6 +156,27 @@ class Router:
         """Return a search from a point that has looked at the nodes which the point sees."""
         length = _seen_from(self.zones, self.need, self.nodes, point)
         return Search(length, np.full(len(length), -1), np.zeros(len(length), dtype=np.bool_))
+
+    def _search(self, of: Search, to: Array) -> int:
+        """Continue a search until the shortest way to a point is known; return the last node before it, -1 for no way.
+
+        The nodes are settled in the order of their way's length and the straight distance to the point (A*: Hart,
+        Nilsson & Raphael 1968). What is settled is right for any other point, too.
+        """
+        seen, straight = _seen_from(self.zones, self.need, self.nodes, to), np.hypot(*(self.nodes - to).T)
+        while True:
+            total = np.where(of.settled, np.inf, of.length + straight)
+            arriving = np.where(of.settled, of.length + seen, np.inf)
+            best, last = int(np.argmin(total)), int(np.argmin(arriving))
+            if total[best] >= arriving[last]:
+                return last if np.isfinite(arriving[last]) else -1
+            of.settled[best] = True
+            unknown, node = np.isnan(self._lengths[best]), self.nodes[best]
+            found = _seen_from(self.zones, self.need, self.nodes[unknown], node)
+            self._lengths[best, unknown] = self._lengths[unknown, best] = found
+            way = of.length[best] + self._lengths[best]
+            shorter = way < of.length
+            of.length[shorter], of.before[shorter] = way[shorter], best
 
     def _shortened(self, start: Array, goal: Array) -> Array | None:
         """Return the last way, from its farthest point that is seen from the start; None if it is no way any more."""
@@ -202,39 +224,6 @@ def _seen_from(zones: Zones, need: Array, nodes: Array, point: Array) -> Array:
         if not is_blocked(zones, need, point[0], point[1], nodes[i, 0], nodes[i, 1]):
             out[i] = np.hypot(nodes[i, 0] - point[0], nodes[i, 1] - point[1])
     return out
-
-
-@jit
-def _search(zones: Zones, need: Array, lengths: Array, nodes: Array, of: Search, to: Array) -> int:
-    """Continue a search until the shortest way to a point is known; return the last node before it, -1 for no way.
-
-    The nodes are settled in the order of their way's length and the straight distance to the point (A*: Hart, Nilsson &
-    Raphael 1968). What is settled is right for any other point, too. ``lengths`` (V, V) are the distances between nodes
-    that see each other, NaN where nothing needed them yet.
-    """
-    V = len(nodes)
-    seen = _seen_from(zones, need, nodes, to)
-    while True:
-        best, last, least, shortest = -1, -1, np.inf, np.inf
-        for i in range(V):
-            if of.settled[i]:
-                if of.length[i] + seen[i] < shortest:
-                    last, shortest = i, of.length[i] + seen[i]
-            else:
-                total = of.length[i] + np.hypot(nodes[i, 0] - to[0], nodes[i, 1] - to[1])
-                if total < least:
-                    best, least = i, total
-        if best < 0 or least >= shortest:
-            return last
-        of.settled[best] = True
-        for i in range(V):
-            if np.isnan(lengths[best, i]):
-                lengths[best, i] = lengths[i, best] = np.inf
-                if not is_blocked(zones, need, nodes[best, 0], nodes[best, 1], nodes[i, 0], nodes[i, 1]):
-                    lengths[best, i] = np.hypot(nodes[best, 0] - nodes[i, 0], nodes[best, 1] - nodes[i, 1])
-                    lengths[i, best] = lengths[best, i]
-            if of.length[best] + lengths[best, i] < of.length[i]:
-                of.length[i], of.before[i] = of.length[best] + lengths[best, i], best
 
 
 @jit_outlined

@@ -1,4 +1,4 @@
-"""Geodesy: places in metres north and east, or in latitude and longitude relative to an origin.
+"""Geodesy: places in metres north and east, or in latitude and longitude relative to an origin; tables of places.
 
 Local frame: the tangent plane of the WGS 84 ellipsoid at the origin, with its north and east (Groves 2013, Principles
 of GNSS, inertial and multisensor integrated navigation systems, eq 2.106, 2.112, 2.150; computed by pymap3d). The
@@ -10,12 +10,15 @@ origin by (l - l0) sin L, 1.6 mrad at 10 km east at 45 degrees.
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Annotated, TypeAlias
 
 import msgspec
 import pymap3d
 from msgspec import Meta
 
+from ltv_mpc.csv_table import Row, read_table
+from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Pair
 
 METRES, DEGREES, DEPTH = ("north_m", "east_m"), ("latitude_deg", "longitude_deg"), "depth_m"
@@ -76,6 +79,44 @@ def local(place: Place, origin: Origin | None) -> Pair:
             f"{MAX_DISTANCE_M / 1000:g} km from the origin"
         )
     return north, east
+
+
+def read_places(
+    path: Path,
+    *columns: str,
+    origin: Origin | None,
+    rows: tuple[int, int],
+    what: str,
+    source: str,
+    least: Row | None = None,
+) -> dict[int, Row]:
+    """Return the rows of a CSV table of places by the number of their line; each has ``north_m`` and ``east_m``.
+
+    Parameters
+    ----------
+    path : the file.
+    columns : names of the columns that it must have beside the places; ``depth_m`` is read if there is one.
+    origin : position of north = east = 0; None is allowed for a table in metres.
+    rows : smallest and largest number of rows.
+    what, source, least : as in ``csv_table.read_table``.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read or a row is not valid; with line, column, value and bound.
+    """
+    places, kinds = {}, ((*columns, *METRES), (*columns, *DEGREES))
+    table = read_table(path, *kinds, what=what, source=source, optional=(DEPTH,), least=least)
+    if not rows[0] <= len(table) <= rows[1]:
+        problem = f"needs a header and at least {rows[0]} rows of numbers"
+        raise ConfigError(source, "", problem if len(table) < rows[0] else f"has {len(table)} rows: at most {rows[1]}")
+    for line, row in table.items():
+        place = Place(**{name: row.pop(name) for name in (*METRES, *DEGREES) if name in row})
+        try:
+            places[line] = row | dict(zip(METRES, local(place, origin), strict=True))
+        except ValueError as error:
+            raise ConfigError(source, f"line {line}", str(error)) from None
+    return places
 
 
 def tangent_plane(latitude_deg: float, longitude_deg: float, origin: Origin) -> Pair:

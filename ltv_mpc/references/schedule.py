@@ -195,16 +195,6 @@ def departure_times(s: Array, limit: Array, step_limit: Array, waiting: Array, s
 
 
 @jit
-def _interval(table: Array, tau: float) -> tuple[int, float, float]:
-    """Return the interval of the table that contains a time, the elapsed share of it, and its length (s)."""
-    M = table.shape[1]
-    i = min(max(count_up_to(table[0], tau) - 1, 0), M - 2)
-    length = table[0, i + 1] - table[0, i]
-    part = (tau - table[0, i]) / length if length > 0.0 else 1.0
-    return i, min(max(part, 0.0), 1.0), length
-
-
-@jit
 def target_at(table: Array, tau: float) -> tuple[float, float, float]:
     """Return distance along the path, north and east of the target (m).
 
@@ -213,8 +203,10 @@ def target_at(table: Array, tau: float) -> tuple[float, float, float]:
     table : (5, M) table of the schedule.
     tau : time of the schedule (s).
     """
-    i, part, _ = _interval(table, tau)
-    s, n, e = table[1], table[2], table[3]
+    t, s, n, e = table[0], table[1], table[2], table[3]
+    i = min(max(count_up_to(t, tau) - 1, 0), len(t) - 2)
+    length = t[i + 1] - t[i]
+    part = min(max((tau - t[i]) / length, 0.0), 1.0) if length > 0.0 else 1.0
     return s[i] + part * (s[i + 1] - s[i]), n[i] + part * (n[i + 1] - n[i]), e[i] + part * (e[i + 1] - e[i])
 
 
@@ -233,13 +225,12 @@ def fill_targets(table: Array, tau: float, rate: float, t_ns: Times, target: Arr
     N = len(t_ns) - 1
     for k in range(1, N + 1):
         at = tau + rate * (t_ns[k] - t_ns[0]) * 1e-9
-        i, part, length = _interval(table, at)
+        _, target[k - 1, 0], target[k - 1, 1] = target_at(table, at)
+    target[N] = 0.0
+    i = count_up_to(table[0], at)
+    if 0 < i < table.shape[1]:
         for j in range(2):
-            step = table[2 + j, i + 1] - table[2 + j, i]
-            target[k - 1, j] = table[2 + j, i] + part * step
-            if k == N:
-                moving = length > 0.0 and 0.0 <= part < 1.0
-                target[N, j] = rate * step / length if moving else 0.0
+            target[N, j] = rate * (table[2 + j, i] - table[2 + j, i - 1]) / (table[0, i] - table[0, i - 1])
 
 
 @jit
@@ -260,7 +251,7 @@ def feasible_rate(table: Array, tau: float, ahead_s: float, north: float, east: 
     """
     square = north * north + east * east
     M, rate = table.shape[1], 1.0
-    i, _, _ = _interval(table, tau)
+    i = min(max(count_up_to(table[0], tau) - 1, 0), M - 2)
     while i < M - 1 and table[0, i] <= tau + ahead_s:
         length = table[0, i + 1] - table[0, i]
         if length > 0.0:

@@ -21,8 +21,7 @@ from ltv_mpc.csv_table import check_bounds
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Array, ReferenceStart
 from ltv_mpc.references.base import BaseReference
-from ltv_mpc.references.csv_places import read_places
-from ltv_mpc.references.geodesy import DEPTH, METRES
+from ltv_mpc.references.geodesy import DEPTH, METRES, read_places
 from ltv_mpc.references.leg_fit import along, fit_legs
 from ltv_mpc.references.limits import path_limits
 from ltv_mpc.references.path import smooth_curve

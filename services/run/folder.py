@@ -24,7 +24,7 @@ from typing import Any
 
 import msgspec
 
-from ltv_mpc.config import read_json
+from ltv_mpc.config import parse_json, read_text
 from ltv_mpc.currents import WaterPrior, write_profile
 from ltv_mpc.errors import ConfigError
 
@@ -187,7 +187,7 @@ def read_summary(recording: Path) -> dict[str, Any]:
     Raises ``ConfigError`` if it cannot be read: its figures are not replaced by others in silence.
     """
     path = recording.with_name("summary.json")
-    return read_json(path, what="summary") if path.exists() else {}
+    return parse_json(read_text(path, what="summary"), f"summary {path}") if path.exists() else {}
 
 
 def _newest() -> Path | None:

@@ -5,6 +5,7 @@ The fence is that of the run until the controller publishes another one.
 
 from __future__ import annotations
 
+import math
 from array import array
 
 import numpy as np
@@ -20,23 +21,23 @@ class FenceDistances:
 
     def __init__(self, vehicle: Vehicle, fence: Fence | None) -> None:
         self._hull_m = 0.0 if vehicle.hull is None else vehicle.hull.radius_m
-        self._zones: tuple[ZoneInForce, ...] = () if fence is None else tuple(fence.zones())
-        self._truth = array("d")  # t, north, east; since these zones are in force
-        self._figures: dict[str, ZoneFigures] = {}  # of the time before
+        zones = () if fence is None else tuple(fence.zones())
+        # Zones in force one after the other, and the true positions meanwhile: t, north, east.
+        self._times: list[tuple[tuple[ZoneInForce, ...], array[float]]] = [(zones, array("d"))]
         self.exceeded = 0
         """Number of plans that lack more than 1 cm of a required clearance."""
 
     def add_fence(self, fence: FenceInForce, *_: int) -> None:
         """Add the fence that the controller publishes."""
-        if [_key(zone) for zone in fence.zones] != [_key(zone) for zone in self._zones]:
-            self._figures = {figures.zone: figures for figures in self.figures()}
-            self._truth = self._truth[-3:] if self._zones else array("d")  # none is kept while there is no fence
-            self._zones = fence.zones
+        zones, positions = self._times[-1]
+        if [_key(zone) for zone in fence.zones] != [_key(zone) for zone in zones]:
+            self._times.append((fence.zones, positions[-3:] if zones else array("d")))
 
     def add_truth(self, truth: Truth) -> None:
-        """Add the true position, from t = 0 on."""
-        if self._zones and truth.t_ns >= 0:
-            self._truth.extend((truth.t_ns, *truth.position_m[:2]))
+        """Add the true position, from t = 0 on; none is kept while there is no fence."""
+        zones, positions = self._times[-1]
+        if zones and truth.t_ns >= 0:
+            positions.extend((truth.t_ns, *truth.position_m[:2]))
 
     def add_plan(self, plan: Plan) -> None:
         """Count a plan that lacks more than 1 cm of a required clearance."""
@@ -44,24 +45,22 @@ class FenceDistances:
 
     def figures(self) -> tuple[ZoneFigures, ...]:
         """Return the figures of each zone that was in force, the times of zones of one name added; none without any."""
-        if not self._zones or not self._truth:
-            return tuple(self._figures.values())
-        rows, margins = np.array(self._truth).reshape(-1, 3), [zone.margin_m for zone in self._zones]
-        clearance = np.column_stack([_clearance(zone, rows[:, 1:]) for zone in self._zones]) - self._hull_m  # (K, Z)
-        length_s = np.append(np.diff(rows[:, 0]), 0.0)[:, None] * 1e-9
-        in_margin = (length_s * (clearance < margins)).sum(axis=0)
-        inside = (length_s * (clearance < 0.0)).sum(axis=0)
-        out = dict(self._figures)
-        figures = zip(self._zones, clearance.min(axis=0).tolist(), in_margin.tolist(), inside.tolist(), strict=True)
-        for zone, least, margin_s, inside_s in figures:
-            before = out.get(zone.label)
-            out[zone.label] = ZoneFigures(
-                zone=zone.label,
-                least_clearance_m=least if before is None else min(least, before.least_clearance_m),
-                in_margin_s=margin_s + (0.0 if before is None else before.in_margin_s),
-                inside_s=inside_s + (0.0 if before is None else before.inside_s),
-            )
-        return tuple(out.values())
+        found: dict[str, ZoneFigures] = {}
+        for zones, positions in self._times:
+            rows = np.array(positions).reshape(-1, 3)
+            length_s = np.append(np.diff(rows[:, 0]), 0.0) * 1e-9
+            for zone in zones if len(rows) else ():
+                clearance = _clearance(zone, rows[:, 1:]) - self._hull_m
+                before = found.get(zone.label) or ZoneFigures(
+                    zone=zone.label, least_clearance_m=math.inf, in_margin_s=0.0, inside_s=0.0
+                )
+                found[zone.label] = ZoneFigures(
+                    zone=zone.label,
+                    least_clearance_m=min(float(clearance.min()), before.least_clearance_m),
+                    in_margin_s=before.in_margin_s + float(length_s[clearance < zone.margin_m].sum()),
+                    inside_s=before.inside_s + float(length_s[clearance < 0.0].sum()),
+                )
+        return tuple(found.values())
 
 
 def _key(zone: ZoneInForce) -> tuple[object, ...]:

@@ -21,19 +21,16 @@ length the two differ by at most 9 % of the current's sd, 1.2 mm/s along a beam,
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
-from ltv_mpc import so3
 from ltv_mpc.frames import rotation, rotation_exp
-from ltv_mpc.jit import jit
 from ltv_mpc.localisation.sensors.adcp import Adcp, beam_directions
 from ltv_mpc.messages import AdcpPing, Array, Triple
 from sim.random_streams import Stream, generator
 from sim.sensors.simulated import outliers
 from sim.sensors.vehicle_state import VehicleState
-from sim.water.column import WaterColumn, WaterSample, velocity_at
+from sim.water.column import WaterColumn, WaterSample, velocities_at_depths
 
 
 class Instrument:
@@ -52,17 +49,6 @@ class Instrument:
         self.beams: Array = beam_directions(settings.beam_angle_rad) @ self.mounting.T  # (4, 3), body
 
 
-class Transducer(NamedTuple):
-    """Position, motion and beams of the transducer."""
-
-    depth_m: float  # of the vehicle
-    velocity_mps: Triple  # of the vehicle over ground, NED
-    R: Array  # (3, 3), body to NED
-    rate_radps: Array  # (3,), body
-    lever_m: Array  # (3,), body
-    beams: Array  # (4, 3), M e_i, body
-
-
 class Profiler:
     """Current profiler. ``ranges_m`` (K,) are those of the cells' centres; ``bias_mps`` is (4, K)."""
 
@@ -79,15 +65,13 @@ class Profiler:
         self.beam_bias_mps, self.near_bias_mps = instrument.beam_bias_mps, instrument.near_bias_mps
         fading = np.exp(-self.ranges_m / settings.near_bias_length_m)
         self.bias_mps = self.beam_bias_mps[:, None] + self.near_bias_mps[:, None] * fading
-        self._beams, self._lever = instrument.beams, np.array(settings.lever_arm_m)
+        self._beams = instrument.beams
 
     def sample(self, now: VehicleState) -> list[AdcpPing]:
         """Return one ping."""
         settings, shape = self._settings, self.bias_mps.shape
-        transducer = Transducer(
-            now.position_m[2], now.velocity_mps, now.rotation, now.angular_rate_radps, self._lever, self._beams
-        )
-        velocity = beam_velocities(transducer, self.ranges_m, self._water.sample(now.t_ns))
+        lever, water = settings.lever_arm_m, self._water.sample(now.t_ns)
+        velocity = beam_velocities(now, lever, self._beams, self.ranges_m, water)
         # Everything is drawn at every ping, so that no setting changes the random numbers of another.
         noise = self._draws.standard_normal(shape)
         silent = self._draws.random(4) < settings.missing_share
@@ -95,24 +79,14 @@ class Profiler:
         velocity += self.bias_mps + settings.beam_noise_sd_mps * noise
         velocity += settings.outlier_mps * outliers(uniform, settings.outlier_share)
         velocity[silent] = np.nan
-        velocity[:, self.ranges_m > self._bottom_m - now.point_m(settings.lever_arm_m)[2]] = np.nan
+        velocity[:, self.ranges_m > self._bottom_m - now.point_m(lever)[2]] = np.nan
         return [AdcpPing(t_ns=now.t_ns, range_m=self.ranges_m, beam_velocity_mps=velocity)]
 
 
-@jit
-def beam_velocities(transducer: Transducer, ranges: Array, water: WaterSample) -> Array:
-    """Return the error-free b_ij (m/s), (4, K), at slant ranges (K,) (m)."""
-    rate, lever, R = transducer.rate_radps, transducer.lever_m, transducer.R
-    in_body, swing, d = np.empty(3), np.empty(3), np.empty(3)
-    so3.cross(rate, lever, in_body)
-    so3.rotate(R, in_body, swing)  # R (w x l)
-    v = transducer.velocity_mps
-    north, east, down = v[0] + swing[0], v[1] + swing[1], v[2] + swing[2]
-    depth = transducer.depth_m + R[2, 0] * lever[0] + R[2, 1] * lever[1] + R[2, 2] * lever[2]
-    b = np.empty((len(transducer.beams), len(ranges)))
-    for i in range(len(transducer.beams)):
-        so3.rotate(R, transducer.beams[i], d)
-        for j in range(len(ranges)):
-            c = velocity_at(depth + ranges[j] * d[2], water)
-            b[i, j] = d[0] * (c[0] - north) + d[1] * (c[1] - east) - d[2] * down
-    return b
+def beam_velocities(now: VehicleState, lever_m: Triple, beams: Array, ranges_m: Array, water: WaterSample) -> Array:
+    """Return the error-free b_ij (m/s), (4, K), of beams M e_i (4, 3) in body axes at slant ranges (K,)."""
+    d = beams @ now.rotation.T
+    depths = now.point_m(lever_m)[2] + np.outer(d[:, 2], ranges_m)
+    c = velocities_at_depths(depths.ravel(), water).reshape(*depths.shape, 2)
+    velocities: Array = (d[:, None, :2] * c).sum(axis=2) - (d @ now.point_velocity_mps(lever_m))[:, None]
+    return velocities

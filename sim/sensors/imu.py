@@ -13,7 +13,6 @@ Source  Groves 2013, sections 5.4 (navigation equations in a local frame) and 4.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -22,27 +21,9 @@ from ltv_mpc.frames import GRAVITY_MPS2, earth_rate
 from ltv_mpc.jit import jit
 from ltv_mpc.localisation.sensors.imu import Imu
 from ltv_mpc.messages import Array, ImuSample, Triple
-from ltv_mpc.so3 import Matrix3
 from sim.random_streams import Stream, generator
 from sim.sensors.simulated import GaussMarkovBias
 from sim.sensors.vehicle_state import VehicleState
-
-
-class _End(NamedTuple):
-    """End of the last sample's interval."""
-
-    t_ns: int
-    rotation: Array
-    velocity_mps: Triple
-
-
-class _Errors(NamedTuple):
-    """Errors of three gyros and three accelerometers, (6,) each."""
-
-    walks: Array  # random walks: densities of the white noise
-    bias: Array  # updated in place
-    decay: Array  # of the biases over dt
-    new_sd: Array  # of the new part of the biases over dt
 
 
 class InertialUnit:
@@ -59,7 +40,7 @@ class InertialUnit:
         )
         self._walks = np.repeat([settings.angle_random_walk_rad_per_rts, settings.velocity_random_walk_mps_per_rts], 3)
         self._earth_rate = earth_rate(latitude_rad) if settings.senses_earth_rate else np.zeros(3)
-        self._last: _End | None = None
+        self._last: VehicleState | None = None
 
     @property
     def gyro_bias_radps(self) -> Array:
@@ -73,24 +54,25 @@ class InertialUnit:
 
     def sample(self, now: VehicleState) -> list[ImuSample]:
         """Return the mean over the interval that ends now."""
-        before, here = self._last, _End(now.t_ns, now.rotation, now.velocity_mps)
-        self._last = here
+        before, self._last = self._last, now
         if before is None:
             return []
-        interval_ns = here.t_ns - before.t_ns
+        interval_ns = now.t_ns - before.t_ns
         dt = interval_ns * 1e-9
-        errors = _Errors(self._walks, self._bias.value, *self._bias.coefficients(dt))
-        draws = self._draws.standard_normal(12)
-        w, f = measured(before[1:], here[1:], self._earth_rate, dt, errors, draws)
-        return [ImuSample(t_ns=here.t_ns, interval_ns=interval_ns, angular_rate_radps=w, specific_force_mps2=f)]
+        white = self._walks / math.sqrt(dt) * self._draws.standard_normal(6)
+        means = increments(before.rotation, before.velocity_mps, now.rotation, now.velocity_mps, self._earth_rate, dt)
+        w0, w1, w2, f0, f1, f2 = (np.ravel(means) + white + self._bias.advance(dt)).tolist()
+        w, f = (w0, w1, w2), (f0, f1, f2)
+        return [ImuSample(t_ns=now.t_ns, interval_ns=interval_ns, angular_rate_radps=w, specific_force_mps2=f)]
 
 
 @jit
-def increments(R1: Matrix3, v1: Triple, R2: Matrix3, v2: Triple, W: Array, dt: float) -> tuple[Triple, Triple]:
+def increments(R1: Array, v1: Triple, R2: Array, v2: Triple, W: Array, dt: float) -> tuple[Triple, Triple]:
     """Return the error-free mean angular rate (rad/s) and specific force (m/s2) between two instants, body axes."""
-    turn = so3.log(so3.multiply(so3.transpose(R1), so3.multiply(so3.exp(dt * W[0], dt * W[1], dt * W[2]), R2)))
+    first, inertial = so3.read(R1), so3.multiply(so3.exp(dt * W[0], dt * W[1], dt * W[2]), so3.read(R2))
+    turn = so3.log(so3.multiply(so3.transpose(first), inertial))
     w = turn[0] / dt, turn[1] / dt, turn[2] / dt
-    R_mid = so3.strapdown(R1, (W[0], W[1], W[2]), w, 0.5 * dt)
+    R_mid = so3.strapdown(first, (W[0], W[1], W[2]), w, 0.5 * dt)
     x, y, z = 0.5 * (v1[0] + v2[0]), 0.5 * (v1[1] + v2[1]), 0.5 * (v1[2] + v2[2])
     a0 = (v2[0] - v1[0]) / dt + 2.0 * (W[1] * z - W[2] * y)
     a1 = (v2[1] - v1[1]) / dt + 2.0 * (W[2] * x - W[0] * z)
@@ -101,21 +83,3 @@ def increments(R1: Matrix3, v1: Triple, R2: Matrix3, v2: Triple, W: Array, dt: f
         R_mid[2] * a0 + R_mid[5] * a1 + R_mid[8] * a2,
     )
     return w, f
-
-
-@jit
-def measured(
-    before: tuple[Array, Triple], now: tuple[Array, Triple], W: Array, dt: float, errors: _Errors, draws: Array
-) -> tuple[Triple, Triple]:
-    """Return the ``increments`` between two attitudes (3, 3) and velocities, with their errors.
-
-    ``draws`` (12,) are standard normal: six for the white noise, then six for the new part of the biases.
-    """
-    walks, bias = errors.walks, errors.bias
-    means = np.empty(6)
-    w, f = increments(so3.read(before[0]), before[1], so3.read(now[0]), now[1], W, dt)
-    for i in range(6):
-        bias[i] = errors.decay[i] * bias[i] + errors.new_sd[i] * draws[6 + i]
-        mean = w[i] if i < 3 else f[i - 3]
-        means[i] = mean + walks[i] / math.sqrt(dt) * draws[i] + bias[i]
-    return (means[0], means[1], means[2]), (means[3], means[4], means[5])

@@ -11,9 +11,7 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from ltv_mpc import so3
-from ltv_mpc.frames import rotation
-from ltv_mpc.jit import jit
+from ltv_mpc.frames import rotation, rotation_exp, rotation_log
 from ltv_mpc.messages import Array, Triple, Truth
 
 _ORIGIN = (0.0, 0.0, 0.0)
@@ -62,7 +60,7 @@ class Motion(NamedTuple):
             t_ns,
             _mix(a.position_m, b.position_m, s),
             _mix(a.velocity_mps, b.velocity_mps, s),
-            interpolated_rotation(self.R1, self.phi, s),
+            self.R1 @ rotation_exp(s * self.phi),
             self.rate,
             a.yaw_rate_radps + s * (b.yaw_rate_radps - a.yaw_rate_radps),
         )
@@ -74,7 +72,9 @@ def motion_between(earlier: Truth, later: Truth, before: Motion | None = None) -
     ``before`` is the motion that ended with the first truth, if it is known: its rotation is then not computed again.
     """
     R1 = before.R2 if before is not None and before.later is earlier else rotation(*earlier.attitude_rad)
-    return Motion(earlier, later, R1, *turned(R1, *later.attitude_rad, (later.t_ns - earlier.t_ns) * 1e-9))
+    R2 = rotation(*later.attitude_rad)
+    phi = rotation_log(R1.T @ R2)
+    return Motion(earlier, later, R1, R2, phi, phi / ((later.t_ns - earlier.t_ns) * 1e-9))
 
 
 def _plus(a: Triple, b: Array) -> Triple:
@@ -84,23 +84,3 @@ def _plus(a: Triple, b: Array) -> Triple:
 
 def _mix(a: Triple, b: Triple, s: float) -> Triple:
     return a[0] + s * (b[0] - a[0]), a[1] + s * (b[1] - a[1]), a[2] + s * (b[2] - a[2])
-
-
-@jit
-def turned(R1: Array, roll: float, pitch: float, heading: float, h: float) -> tuple[Array, Array, Array]:
-    """Return the rotation R2 (3, 3) of an attitude, phi = log(R1^T R2) (3,) and phi / h (3,), h the interval (s)."""
-    R2, phi, w = np.empty((3, 3)), np.empty(3), np.empty(3)
-    now = so3.from_angles(roll, pitch, heading)
-    so3.write(now, R2)
-    turn = so3.log(so3.multiply(so3.transpose(so3.read(R1)), now))
-    for i in range(3):
-        phi[i], w[i] = turn[i], turn[i] / h
-    return R2, phi, w
-
-
-@jit
-def interpolated_rotation(R1: Array, phi: Array, s: float) -> Array:
-    """Return R1 exp(s phi), (3, 3)."""
-    R = np.empty((3, 3))
-    so3.write(so3.multiply(so3.read(R1), so3.exp(s * phi[0], s * phi[1], s * phi[2])), R)
-    return R

@@ -12,6 +12,7 @@ from typing import Any, TypeAlias
 
 import msgpack
 import numpy as np
+import shapely
 
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.node import ControllerNode
@@ -230,10 +231,5 @@ def farthest_m(track: np.ndarray) -> float:
 
 def distance_from_outline_m(track: np.ndarray) -> np.ndarray:
     """Return the distance (M,) of positions (M, 2) from the outline of the square (m)."""
-    sides = zip(CORNERS, np.roll(CORNERS, -1, axis=0), strict=True)
-    legs = [
-        np.linalg.norm(track - a - np.clip((track - a) @ (b - a) / SIDE_M**2, 0.0, 1.0)[:, None] * (b - a), axis=1)
-        for a, b in sides
-    ]
-    distance: np.ndarray = np.min(legs, axis=0)
+    distance: np.ndarray = shapely.distance(shapely.LinearRing(CORNERS), shapely.points(track))
     return distance

@@ -5,6 +5,7 @@ from __future__ import annotations
 import msgspec
 import numpy as np
 import pytest
+import shapely
 
 from benchmarks.observer import judged
 from benchmarks.robustness.cases import RIGHT
@@ -33,10 +34,7 @@ def along_a_square(vehicle: Vehicle, pilot_class: type[Ours] = Ours) -> tuple[Ou
     """Fly the light boat with a file; return its pilot, the flight, and the mean distance from the path after 10 s."""
     pilot = pilot_class(vehicle, reference(SQUARE, 0.9))
     flight = fly("bluerobotics-boat", pilot, CURRENT, Start(current_rad=0.6), duration_s=85.0)
-    off = np.full(len(flight.point), np.inf)
-    for a, b in zip(np.array(SQUARE), np.array(SQUARE[1:]), strict=False):
-        share = np.clip((flight.point - a) @ (b - a) / 400.0, 0.0, 1.0)
-        off = np.minimum(off, np.hypot(*(flight.point - a - share[:, None] * (b - a)).T))
+    off = shapely.distance(shapely.LineString(SQUARE), shapely.points(flight.point))
     return pilot, flight, float(off[flight.t_s > 10.0].mean())
 
 

@@ -1,10 +1,10 @@
-"""Random zones, and distances computed in another way than the program's."""
+"""Random zones, and their distances by shapely."""
 
 from __future__ import annotations
 
 import numpy as np
+import shapely
 from hypothesis import strategies as st
-from matplotlib.path import Path
 
 from ltv_mpc.geofence.fence import Disc, Fence, Polygon
 from ltv_mpc.messages import Array
@@ -41,11 +41,8 @@ def fence_of(ring: Array, *, keep_in: bool) -> Fence:
 
 
 def boundary_distance(ring: Array, at: Array) -> float:
-    """Return the distance from a point to a ring (m), by projection on all edges at once."""
-    way = np.roll(ring, -1, axis=0) - ring
-    share = np.clip(((at - ring) * way).sum(axis=1) / (way * way).sum(axis=1), 0.0, 1.0)
-    return float(np.hypot(*(at - ring - share[:, None] * way).T).min())
+    return float(shapely.LinearRing(ring).distance(shapely.Point(at)))
 
 
 def contains(ring: Array, at: Array) -> bool:
-    return bool(Path(np.vstack([ring, ring[:1]]), closed=True).contains_point(at))
+    return bool(shapely.Polygon(ring).contains(shapely.Point(at)))

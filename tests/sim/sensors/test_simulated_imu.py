@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from ltv_mpc import frames, so3
+from ltv_mpc import frames
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from sim.attitude import Attitude
 from sim.sensors.imu import InertialUnit, increments
@@ -20,7 +20,7 @@ NO_EARTH = np.zeros(3)
 
 
 def error_free(R1, v1, R2, v2, W=NO_EARTH, dt=0.01):
-    return np.array(increments(so3.read(R1), tuple(map(float, v1)), so3.read(R2), tuple(map(float, v2)), W, dt))
+    return np.array(increments(R1, tuple(map(float, v1)), R2, tuple(map(float, v2)), W, dt))
 
 
 @pytest.mark.parametrize(
