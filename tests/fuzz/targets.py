@@ -252,23 +252,19 @@ def ros2_example(ros_type: str) -> Any:
         return cdr.make(f"{ros_type}_Request", **({"data": True} if ros_type.endswith("SetBool") else {}))
     if ros_type == "std_msgs/msg/String":
         return cdr.make(ros_type, data=SQUARE_FENCE)
-    header = conversions.header(1, "odom")
-    turn = cdr.make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0)
-    pose = cdr.make(
-        "geometry_msgs/msg/Pose", position=cdr.make("geometry_msgs/msg/Point", x=1.0, y=2.0, z=-3.0), orientation=turn
-    )
-    vector = cdr.make("geometry_msgs/msg/Vector3", x=0.1, y=0.2, z=0.3)
-    twist = cdr.make("geometry_msgs/msg/Twist", linear=vector, angular=vector)
+    pose = {"position": {"x": 1.0, "y": 2.0, "z": -3.0}, "orientation": {"w": 1.0}}
+    vector = {"x": 0.1, "y": 0.2, "z": 0.3}
+    twist = {"linear": vector, "angular": vector}
     covariance = np.eye(6).ravel()
-    with_pose = cdr.make("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=covariance)
-    with_twist = cdr.make("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=covariance)
-    fields = {
+    with_pose, with_twist = {"pose": pose, "covariance": covariance}, {"twist": twist, "covariance": covariance}
+    header = conversions.header(1, "odom")
+    fields: dict[str, dict[str, Any]] = {
         "nav_msgs/msg/Odometry": {"child_frame_id": "base_link", "pose": with_pose, "twist": with_twist},
         "geometry_msgs/msg/PoseWithCovarianceStamped": {"pose": with_pose},
         "geometry_msgs/msg/TwistWithCovarianceStamped": {"twist": with_twist},
         "geometry_msgs/msg/TwistStamped": {"twist": twist},
         "geometry_msgs/msg/PoseStamped": {"pose": pose},
-        "nav_msgs/msg/Path": {"poses": [cdr.make("geometry_msgs/msg/PoseStamped", header=header, pose=pose)] * 3},
+        "nav_msgs/msg/Path": {"poses": [{"header": header, "pose": pose}] * 3},
     }
     return cdr.make(ros_type, header=header, **fields[ros_type])
 

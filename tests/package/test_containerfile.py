@@ -44,14 +44,6 @@ def platforms(processor: str) -> list[str]:
     return [word for one in NEWEST_FIRST for word in ("--platform", f"{one}_{processor}")]
 
 
-@pytest.fixture(scope="module")
-def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("dist")
-    code = "import sys, hatchling.build; hatchling.build.build_wheel(sys.argv[1])"
-    subprocess.run([sys.executable, "-P", "-c", code, folder], cwd=ROOT, check=True, capture_output=True)
-    return next(folder.glob("*.whl"))
-
-
 class BareDebian:
     """Root of Debian with what each installation has, in which the steps of a Containerfile are run."""
 

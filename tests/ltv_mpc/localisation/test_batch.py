@@ -5,9 +5,9 @@ each: position and velocity at the start, accelerometer bias, and the velocity n
     v[k+1] = v[k] + dt (f[k] - b) + w[k],  p[k+1] = p[k] + dt (v[k] + v[k+1]) / 2
 """
 
-import msgspec
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter
@@ -15,39 +15,28 @@ from ltv_mpc.localisation.filter.state import ACCELEROMETER_BIAS, POSITION, VELO
 from ltv_mpc.localisation.out_of_sequence import MeasurementBuffer
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors.adcp import beam_directions
-from ltv_mpc.localisation.sensors.bottom_track import BottomTracking
-from ltv_mpc.localisation.sensors.usbl import Usbl
 from ltv_mpc.messages import BottomTrack, GnssFix, ImuSample, PressureDepth, TdcpFix, UsblFix
+from tests.ltv_mpc.localisation.sensors.every_sensor import EVERY_SENSOR, with_settings
 
 DT_NS, DT = 20_000_000, 0.02
 STEPS = 120
-ODD = {"period_ns": 100_000_000, "missing_share": 0.0, "outlier_share": 0.0}
 PAPER = SensorConfig.load("paper")
-SUITE = msgspec.structs.replace(
-    PAPER,
-    imu=msgspec.structs.replace(
-        PAPER.imu,
-        gyro_bias_sd_radps=0.0,
-        angle_random_walk_rad_per_rts=0.0,
-        velocity_random_walk_mps_per_rts=0.05,
-        accelerometer_bias_sd_mps2=0.2,
-        accelerometer_bias_tau_s=1e13,  # constant
-    ),
-    gnss=msgspec.structs.replace(PAPER.gnss, position_sd_m=0.5, velocity_sd_mps=0.1, lever_arm_m=(2.0, -1.0, -3.0)),
-    tdcp=msgspec.structs.replace(PAPER.tdcp, displacement_sd_m=0.02),
-    pressure=msgspec.structs.replace(PAPER.pressure, depth_sd_m=0.05, lever_arm_m=(-1.0, 0.5, 0.3)),
-    usbl=Usbl(
-        **ODD,
-        latency_ns=0,
-        ship_m=(0.0, 0.0),
-        position_sd_m=0.7,
-        bearing_sd_rad=0.0,
-        outlier_m=0.0,
-        lever_arm_m=(0.4, 0.2, -0.5),
-    ),
-    bottom_track=BottomTracking(**ODD, range_m=50.0, beam_noise_sd_mps=0.03, outlier_mps=0.0),
+SUITE = with_settings(
+    replace(PAPER, usbl=EVERY_SENSOR.usbl, bottom_track=EVERY_SENSOR.bottom_track),
+    imu={
+        "gyro_bias_sd_radps": 0.0,
+        "angle_random_walk_rad_per_rts": 0.0,
+        "velocity_random_walk_mps_per_rts": 0.05,
+        "accelerometer_bias_sd_mps2": 0.2,
+        "accelerometer_bias_tau_s": 1e13,  # constant
+    },
+    gnss={"position_sd_m": 0.5, "velocity_sd_mps": 0.1, "lever_arm_m": (2.0, -1.0, -3.0)},
+    tdcp={"displacement_sd_m": 0.02},
+    pressure={"depth_sd_m": 0.05, "lever_arm_m": (-1.0, 0.5, 0.3)},
+    usbl={"position_sd_m": 0.7, "lever_arm_m": (0.4, 0.2, -0.5)},
+    bottom_track={"beam_noise_sd_mps": 0.03},
 )
-OPEN = msgspec.structs.replace(EstimatorConfig(), deepest_m=5.0, gate_probability=1.0)  # every innovation passes
+OPEN = replace(EstimatorConfig(), deepest_m=5.0, gate_probability=1.0)  # every innovation passes
 SD = np.repeat([2.0, 0.7, 0.2], 3)  # of position, velocity, bias at the start
 
 

@@ -9,9 +9,9 @@ from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter
 from ltv_mpc.localisation.filter.state import Belief, Layout, grid
 from ltv_mpc.localisation.publishing import estimate
 from ltv_mpc.localisation.sensors import BY_MESSAGE
-from ltv_mpc.localisation.sensors.bottom_track import BottomTracking
 from ltv_mpc.messages import AdcpPing, BottomTrack, CompassHeading, Estimate, GnssFix, ImuSample, PressureDepth, TdcpFix
 from tests.ltv_mpc.localisation.dives import CONFIG, REALISTIC, Run, S, dive, error_of, inbox
+from tests.ltv_mpc.localisation.sensors.every_sensor import EVERY_SENSOR
 
 PERIOD_NS = CONFIG.estimate_period_ns
 DIVE = dive(REALISTIC, 5, duration_s=4.0)
@@ -59,8 +59,7 @@ def test_a_sensor_that_is_silent_does_not_hold_the_estimate_for_more_than_one_sa
 @pytest.mark.parametrize(("latency_ns", "last"), [(0, BottomTrack), (20_000_000, PressureDepth)])
 def test_an_estimate_waits_for_a_bottom_track_without_latency(latency_ns, last):
     """Ten bottom tracks a second, each the last message of its instant."""
-    share = {"missing_share": 0.0, "outlier_share": 0.0, "outlier_mps": 0.0}
-    tracking = BottomTracking(**share, period_ns=PERIOD_NS, range_m=50.0, beam_noise_sd_mps=0.01, latency_ns=latency_ns)
+    tracking = replace(EVERY_SENSOR.bottom_track, period_ns=PERIOD_NS, latency_ns=latency_ns)
     nothing = np.full(4, np.nan)
     pings = [BottomTrack(t_ns=k * PERIOD_NS, range_m=nothing, beam_velocity_mps=nothing) for k in range(-5, 41)]
     messages = sorted([*DIVE.messages, *pings], key=lambda m: (m.t_ns, isinstance(m, BottomTrack)))
@@ -102,21 +101,6 @@ def test_a_ping_between_two_samples_is_used_at_its_own_time():
     filter_.advance = lambda t_ns, sample: (stops.append(t_ns), advance(t_ns, sample))
     Run((m for m in DIVE.messages if 1_330_000_000 < m.t_ns <= 1_340_000_000), estimator=estimator)
     assert stops == [1_333_333_332, 1_340_000_000]
-
-
-def test_a_message_that_is_too_old_or_a_duplicate_is_counted_and_changes_nothing():
-    estimator = Run(DIVE.messages).estimator
-    before = estimator.filter.belief.copy()
-    kinds = (ImuSample, PressureDepth, AdcpPing)
-    second = [next(m for m in reversed(DIVE.messages) if isinstance(m, kind)) for kind in kinds]
-    old = [m for m in DIVE.messages if 2 * S < m.t_ns < 2_700_000_000]
-    assert not any(out for _, out in Run([*second, *old], estimator=estimator).steps)
-    np.testing.assert_array_equal(estimator.filter.belief.x, before.x)
-    np.testing.assert_array_equal(estimator.filter.belief.P, before.P)
-    account, count = estimator.account, {kind: sum(isinstance(m, kind) for m in old) for kind in kinds}
-    assert account["imu.late"] == 1 + count[ImuSample]
-    assert (account["adcp.late"], account["pressure.late"]) == (count[AdcpPing], count[PressureDepth])
-    assert (account["adcp.duplicate"], account["pressure.duplicate"]) == (1, 1)
 
 
 def test_the_queue_of_measurements_is_bounded_without_an_inertial_unit():

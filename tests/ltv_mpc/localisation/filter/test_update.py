@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from ltv_mpc.frames import rotation
+from ltv_mpc.localisation.adaptive.failure_signatures import MAX_SD, FailureSignatures
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter
 from ltv_mpc.localisation.filter.state import Belief, Layout
@@ -20,27 +21,39 @@ LAYOUT = Layout.of(SensorConfig.load("paper"), CONFIG)
 OPEN = 1e9
 
 
+HYPOTHESES = 6
+
+
 @pytest.fixture
 def belief():
+    """Random covariance, and random signatures of failure hypotheses."""
     rng = np.random.default_rng(0)
     belief = Belief.blank(LAYOUT, 0)
     root = rng.standard_normal((LAYOUT.size, LAYOUT.size)) / 10
     belief.P = root @ root.T
+    belief.signatures = FailureSignatures.of(LAYOUT.size, HYPOTHESES)
+    belief.signatures.error[:] = 0.1 * rng.standard_normal((LAYOUT.size, HYPOTHESES))
+    belief.signatures.score[:] = rng.standard_normal(HYPOTHESES)
     return belief
 
 
-def random_rows(m, seed=1):
-    rng = np.random.default_rng(seed)
-    state = np.array([rng.choice(LAYOUT.size, 6, replace=False) for _ in range(m)])
+def random_rows(m, touched=LAYOUT.size):
+    """Return rows of the first ``touched`` states."""
+    rng = np.random.default_rng(1)
+    state = np.array([rng.choice(touched, 6, replace=False) for _ in range(m)])
     partial = rng.standard_normal((m, 6))
     partial[:, 4] = 0.0  # padding
     return Rows(state, partial, 0.1 * rng.standard_normal(m), rng.uniform(0.1, 2.0, m))
 
 
-@pytest.mark.parametrize("m", [1, 5, 120])
-def test_an_update_is_the_textbooks(belief, m):
-    """K = P H^T (H P H^T + R)^-1 and Joseph form, followed by the invariant correction."""
-    rows, P = random_rows(m), belief.P.copy()
+@pytest.mark.parametrize(("m", "touched"), [(1, LAYOUT.size), (5, LAYOUT.size), (120, LAYOUT.size), (120, 60)])
+def test_an_update_is_the_textbooks(belief, m, touched):
+    """K = P H^T (H P H^T + R)^-1 and Joseph form, followed by the invariant correction.
+
+    A failure moves by the same gain; its score is the correlation of the innovations with what it would cause.
+    """
+    rows, P = random_rows(m, touched), belief.P.copy()
+    E, score = belief.signatures.error.copy(), belief.signatures.score.copy()
     H, R = rows.dense(LAYOUT.size), np.diag(rows.variance)
     K = np.linalg.solve(H @ P @ H.T + R, H @ P).T
     I_KH = np.eye(LAYOUT.size) - K @ H
@@ -54,6 +67,22 @@ def test_an_update_is_the_textbooks(belief, m):
     np.testing.assert_allclose(belief.P, expected, atol=1e-11)
     np.testing.assert_array_equal(belief.P, belief.P.T)
     np.testing.assert_allclose(correction.S, H @ P @ H.T + R, rtol=1e-12, atol=1e-13)
+    np.testing.assert_allclose(belief.signatures.error, M @ (E - K @ H @ E), atol=1e-10)
+    seen = np.linalg.solve(correction.S, H @ E)
+    np.testing.assert_allclose(belief.signatures.information, (H @ E).T @ seen, atol=1e-10)
+    np.testing.assert_allclose(belief.signatures.score - score, seen.T @ rows.residual, atol=1e-10)
+
+
+@pytest.mark.parametrize("m", [1, 30])
+def test_one_message_adds_at_most_five_deviations_to_a_score(belief, m):
+    rows = random_rows(m)
+    rows.residual[:] = 1e3
+    before = belief.signatures.score.copy()
+    correct(belief, rows, OPEN)
+    added = belief.signatures.score - before
+    most = MAX_SD * np.sqrt(np.diagonal(belief.signatures.information))
+    assert (np.abs(added) <= most * (1 + 1e-12)).all()
+    assert np.abs(added / most).max() > 0.99
 
 
 def test_a_row_beyond_the_gate_changes_nothing(belief):
@@ -65,6 +94,8 @@ def test_a_row_beyond_the_gate_changes_nothing(belief):
     np.testing.assert_array_equal(correction.accepted, keep)
     np.testing.assert_allclose(belief.x, without.x, atol=1e-13)
     np.testing.assert_allclose(belief.P, without.P, atol=1e-13)
+    for name in ("error", "score", "information"):
+        np.testing.assert_allclose(getattr(belief.signatures, name), getattr(without.signatures, name), atol=1e-10)
 
 
 def test_rows_all_beyond_the_gate_leave_the_belief_as_it_was(belief):

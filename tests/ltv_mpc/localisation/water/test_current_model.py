@@ -56,12 +56,14 @@ def test_a_published_profile_is_the_belief_with_the_larger_deviation_of_its_axes
     assert profile.north_mps[3] == 0.1, "a published profile does not change afterwards"
 
 
-SAVED = WaterPrior(
-    depth_m=np.array([5.0, 6.0, 7.0, 15.0]),
-    north_mps=np.array([0.1, 0.2, 0.3, -0.1]),
-    east_mps=np.array([-0.1, -0.2, -0.3, 0.5]),
-    sd_mps=np.array([0.02, 0.03, 0.04, 0.01]),
-    sd_common_mps=0.01,
+def saved(*rows, common_mps=0.0):
+    """Return a saved profile of rows (depth, north, east, deviation)."""
+    depth, north, east, sd = np.array(rows).T
+    return WaterPrior(depth_m=depth, north_mps=north, east_mps=east, sd_mps=sd, sd_common_mps=common_mps)
+
+
+SAVED = saved(
+    (5.0, 0.1, -0.1, 0.02), (6.0, 0.2, -0.2, 0.03), (7.0, 0.3, -0.3, 0.04), (15.0, -0.1, 0.5, 0.01), common_mps=0.01
 )
 
 
@@ -87,13 +89,7 @@ def test_saved_depths_share_their_common_error_and_that_of_neighbours():
 
 def test_between_saved_depths_the_prior_is_a_gauss_markov_bridge():
     """Reference: Gaussian conditioning on an exactly known profile."""
-    exact = WaterPrior(
-        depth_m=np.array([10.0, 30.0]),
-        north_mps=np.array([0.1, 0.3]),
-        east_mps=np.zeros(2),
-        sd_mps=np.zeros(2),
-        sd_common_mps=0.0,
-    )
+    exact = saved((10.0, 0.1, 0.0, 0.0), (30.0, 0.3, 0.0, 0.0))
     config = msgspec.structs.replace(CONFIG, water_prior_change_sd_mps=0.0)
     prior = current_model.node_prior(config, exact)
     z = np.arange(71)
@@ -117,14 +113,7 @@ def test_far_beyond_a_saved_profile_the_prior_is_as_open_as_one_without():
 
 
 def test_a_profile_of_one_depth_is_a_prior_too():
-    one = WaterPrior(
-        depth_m=np.array([20.0]),
-        north_mps=np.array([0.3]),
-        east_mps=np.array([0.1]),
-        sd_mps=np.array([0.02]),
-        sd_common_mps=0.02,
-    )
-    prior = current_model.node_prior(CONFIG, one)
+    prior = current_model.node_prior(CONFIG, saved((20.0, 0.3, 0.1, 0.02), common_mps=0.02))
     np.testing.assert_allclose(prior.mean_mps, np.tile([0.3, 0.1], (71, 1)))
     assert prior.sd_mps[20] == pytest.approx(CONFIG.water_prior_change_sd_mps)
     assert np.all(np.isfinite(prior.sd_mps))
