@@ -64,6 +64,8 @@ from ltv_mpc.safety.health import NOMINAL, HealthState, plan_end_ns, worst
 from ltv_mpc.safety.motion_fit import MotionFit, VehicleFileCheck
 from ltv_mpc.vehicle.parameters import Vehicle
 
+STAYS_AWAY = "the vehicle does not get nearer to its target: the current, the thrusters or the vehicle file prevent it"
+
 SAVE_PERIOD_NS = 5_000_000_000
 """Longest time between two published states."""
 
@@ -281,13 +283,18 @@ class Controller:
         self._prediction.set_shares(shares)
 
     def health(self, t_ns: int) -> HealthState:
-        """Return the health by estimates (age, uncertainty of the last prediction), actuators and vehicle file.
+        """Return the health by estimates (age, uncertainty of the last prediction), actuators, vehicle file and target.
 
         Parameters
         ----------
         t_ns : now, vehicle time (ns).
         """
-        return worst(self.estimate_gate.health(t_ns), self.actuator_check.health, self.vehicle_file_check.health)
+        own = self.estimate_gate.health(t_ns)
+        return worst(own, self.actuator_check.health, self._target_health, self.vehicle_file_check.health)
+
+    @property
+    def _target_health(self) -> HealthState:
+        return HealthState(Health.DEGRADED, STAYS_AWAY) if self.follower.stays_away else NOMINAL
 
     def plan(
         self,
@@ -339,6 +346,8 @@ class Controller:
             self.follower.advance(knots, start.lateral, current, self._lateral.target)
             if self.estimate_gate.health(now_ns) is NOMINAL:
                 self.follower.arrive(decision.estimate, self.config.position_tolerance_m)
+            if decision.mode is Mode.FOLLOW and not self._lateral.fencing.leads_round:
+                self.follower.watch(decision.estimate, self.config.position_tolerance_m)
         self._lateral.fencing.set_path(self.follower.path_beside(knots) if decision.follows else None)
         error_mps2, apart_m = self.observer.model_error_mps2, self.estimate_gate.growth_m + self.observer.waves_m
         self._lateral.fencing.update(start, decision.estimate, apart_m, error_mps2)
@@ -450,7 +459,7 @@ class Controller:
             estimate,
             now_ns,
             override=override,
-            health=worst(own, health, check.health, self.vehicle_file_check.health),
+            health=worst(own, health, check.health, self._target_health, self.vehicle_file_check.health),
             late=own is not NOMINAL,
             follower=self.follower,
             lateral=self.config.lateral,

@@ -87,6 +87,8 @@ class Fencing:
         self._labels: list[str] = []
         self._routes = Routes()
         self._no_way = False  # round the zones to the target
+        self.leads_round = False
+        """True if the straight way to the target was blocked in the last cycle."""
         self.meeting_margins: tuple[str, ...] = ()
         """Zones whose required clearances the vehicle lacks at once, because late estimates have made them grow."""
         self._dropped: tuple[int, ...] = ()
@@ -217,7 +219,8 @@ class Fencing:
         limited : True if a limit of motion is set. Without one, and without a fence, far targets stay where they are.
         """
         router = self._routes.router
-        if router is not None and router.chain_is_blocked(position, target[:-1, :2]):
+        self.leads_round = router is not None and router.chain_is_blocked(position, target[:-1, :2])
+        if router is not None and self.leads_round:
             self.set_path(None)
             arrives = lead_round(router, position, current, target, self._times_s, self._scales)
             self._no_way = not arrives

@@ -21,6 +21,7 @@ a schedule without length: a target at rest.
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable
 from typing import NamedTuple, TypeAlias
 
@@ -49,6 +50,11 @@ waited.
 ARRIVAL_M = 0.5
 """Distance from the end of a reference at which the vehicle has arrived: where the estimates describe a point that is
 not quite the origin, a vehicle that has come to its end keeps within it.
+"""
+
+AWAY_M, AWAY_NS, NEARER_M = 1.0, 30_000_000_000, 0.1
+"""Distance from the target, beyond the lag that a path allows, at which a vehicle is away from it; the time within
+which it has to come nearer, and by how much.
 """
 
 SAME_PLACE_M = 1e-6
@@ -134,6 +140,9 @@ class Follower:
         self._tau_s = 0.0
         self._rate = 1.0
         self._t_ns = 0
+        self._distances: deque[tuple[int, float]] = deque()  # time (ns) and distance (m) of the last AWAY_NS away
+        self.stays_away = False
+        """True while the vehicle is away from its target and does not come nearer."""
         self.progress = NO_PROGRESS
         """Progress along a path; ``NO_PROGRESS`` for a point, and before the reference starts."""
 
@@ -234,6 +243,27 @@ class Follower:
             deep = estimate.depth_m is not None and abs(estimate.depth_m - track.depth_m) <= radius_m
         end_m = track.whole.table[[NORTH, EAST], -1]
         self.arrived = deep and math.dist((estimate.north_m, estimate.east_m), end_m) <= radius_m
+
+    def watch(self, estimate: Estimate, tolerance_m: float) -> None:
+        """Note whether the vehicle stays away from its target, or comes nearer.
+
+        Parameters
+        ----------
+        estimate : newest estimate; the vehicle is free to drive straight to the target.
+        tolerance_m : distance that counts as near, if it is above ``AWAY_M`` (m).
+        """
+        track, target, away, t_ns = self._track, self.target_m, self._distances, estimate.t_ns
+        if track is None or target is None:
+            return
+        distance_m = math.dist((estimate.north_m, estimate.east_m), target) - track.leash_m * self.is_path
+        if distance_m <= max(tolerance_m, AWAY_M) or (away and not 0 <= t_ns - away[-1][0] <= MAX_STEP_S * 1e9):
+            away.clear()
+            self.stays_away = False
+        away.append((t_ns, distance_m))
+        while len(away) > 1 and away[1][0] <= t_ns - AWAY_NS:
+            away.popleft()
+        if t_ns - away[0][0] >= AWAY_NS:  # to be near again takes more than to oscillate
+            self.stays_away = away[0][1] - distance_m < (AWAY_M if self.stays_away else NEARER_M)
 
     def save(self) -> FollowerState:
         """Return the state that another follower of the same reference continues from."""

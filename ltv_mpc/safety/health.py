@@ -16,7 +16,8 @@ The controller is also degraded while the actuators, having reported before, are
 their own period. The multiples of T make a slow publisher nominal: one that sends every 5 s is degraded after two
 missing messages, held after three, failsafe after five.
 
-And it is degraded while the actuators report commands that contradict its plans (``actuator_check.py``).
+And it is degraded while the actuators report commands that contradict its plans (``actuator_check.py``), and while the
+vehicle stays away from its target (``references/follower.py``).
 
 Actuators, by the time since the last accepted plan and the period T of the plans:
 

@@ -1,4 +1,4 @@
-"""Arrival: the vehicle at the end of its reference, and not its target alone."""
+"""The vehicle and its target: arrival at the end of a reference, and a vehicle that does not get nearer."""
 
 from __future__ import annotations
 
@@ -7,10 +7,13 @@ import pytest
 
 from ltv_mpc import Controller, ControllerConfig, Estimate, Vehicle, references
 from ltv_mpc.control.config import Disturbance
+from ltv_mpc.control.controller import STAYS_AWAY
+from ltv_mpc.control.mode import NO_DEPTH
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.messages import Action, Command, ControllerState, Plan
 from ltv_mpc.node import ReceivedMessage
-from tests.ltv_mpc.control.flights import fly
+from ltv_mpc.references.follower import Follower
+from tests.ltv_mpc.control.flights import at_rest, fly
 
 PAPER = Vehicle.load("paper")
 PLACE = references.Place
@@ -18,6 +21,10 @@ LINE = references.Line(start=PLACE(north_m=0.0, east_m=0.0), end=PLACE(north_m=3
 POINT = references.Point(north_m=3.0, east_m=0.0)
 DEEP = references.Point(north_m=0.0, east_m=0.0, depth_m=4.0)
 START = msgspec.structs.replace(Estimate.at_rest(), depth_m=None)
+AGAINST, CARRIED = (msgspec.structs.replace(at_rest(north_mps), depth_m=None) for north_mps in (0.3, 0.7))
+"""In a current to the north, weaker and stronger than the vehicle."""
+ACROSS = references.Line(start=PLACE(north_m=0.0, east_m=0.0), end=PLACE(north_m=0.0, east_m=30.0), speed_mps=0.2)
+ALONG = references.Line(start=PLACE(north_m=0.0, east_m=0.0), end=PLACE(north_m=25.0, east_m=0.0), speed_mps=0.4)
 
 
 def at(estimate: Estimate, north_m: float, t_s: float, **changes: float) -> Estimate:
@@ -105,3 +112,48 @@ def test_a_controller_that_continues_has_arrived_and_an_armed_one_begins_again()
     assert plan_of(cycle(other, 5_700_000_000, state, at(START, 1.0, 5.7))).arrived
     cycle(other, 6_000_000_000, at(START, 1.0, 6.0), Command(command_id=2, action=Action.DISARM))
     assert not plan_of(cycle(other, 6_300_000_000, at(START, 1.0, 6.3), arm)).arrived
+
+
+def why_not_nominal(reference: references.Reference, start: Estimate, seconds: float) -> list[tuple[float, str]]:
+    """Return time and reason of each change of the health in a flight."""
+    _, plans = fly(Controller(PAPER, reference), start, round(seconds / 0.3))
+    found, last = [], ""
+    for plan in plans:
+        if plan.health_why != last:
+            found.append((plan.cycle_t_ns * 1e-9, plan.health_why))
+            last = plan.health_why
+    return found
+
+
+def test_health_says_it_while_a_vehicle_is_carried_away_from_its_target():
+    """The current is stronger than the vehicle, at a point and across a line."""
+    for reference in (references.Point(north_m=0.0, east_m=0.0), ACROSS):
+        ((t_s, why),) = why_not_nominal(reference, CARRIED, 60.0)
+        assert (why, 30.0 <= t_s < 40.0) == (STAYS_AWAY, True)
+
+
+@pytest.mark.parametrize(
+    ("reference", "start", "seconds"),
+    [
+        (references.Point(north_m=-12.0, east_m=0.0), AGAINST, 120.0),  # it comes nearer slowly
+        (ALONG, START, 80.0),
+        (DEEP, START, 60.0),
+    ],
+)
+def test_health_is_nominal_on_the_way_and_at_the_target(reference, start, seconds):
+    assert why_not_nominal(reference, start, seconds) in ([], [(0.0, NO_DEPTH)])
+
+
+def test_a_vehicle_that_comes_back_is_nominal_again_and_one_that_oscillates_far_away_is_not():
+    follower = Follower(POINT, PAPER)
+    assert follower.begin(START)
+    steps = [(t, 9.0) for t in range(31)] + [(31, 8.5), (32, 8.1), (33, 8.4), (34, 7.9)]
+    stays = []
+    for t_s, distance_m in steps:
+        follower.watch(at(START, 3.0 + distance_m, t_s), 0.0)
+        stays.append(follower.stays_away)
+    assert stays == [False] * 30 + [True] * 4 + [False]
+    follower.watch(at(START, 20.0, 35.0), 0.0)
+    assert follower.stays_away
+    follower.watch(at(START, 20.0, 40.0), 0.0)  # somebody else drove, or it went round a zone
+    assert not follower.stays_away
