@@ -39,14 +39,14 @@ from typing import NamedTuple
 import numpy as np
 
 from ltv_mpc.control import shooting_grid
-from ltv_mpc.control.fence_clearance import Scene, fence_cost, is_near
 from ltv_mpc.control.linearisation import Linearisation, linearise_along, propagate
 from ltv_mpc.control.ocp import assembly, fence, limits
 from ltv_mpc.control.ocp.assembly import cost
 from ltv_mpc.control.ocp.extension import Extensions, Limit, Term
+from ltv_mpc.control.ocp.fence import Scene, fence_cost, is_near
 from ltv_mpc.control.ocp.limits import clip_to_limits, command_bounds
 from ltv_mpc.control.ocp.problem import Problem, least_surplus
-from ltv_mpc.control.problem_data import CHANGES, COMMANDS, STAGE_S, Constants, stage_length
+from ltv_mpc.control.problem_data import CHANGES, COMMANDS, STAGE_S, Constants
 from ltv_mpc.control.terminal_check import check_terminal
 from ltv_mpc.jit import copy_to, jit
 from ltv_mpc.messages import Array
@@ -212,11 +212,11 @@ def steering_guess(o: Constants, start: Array, target: Array, astern: bool, C: A
     copy_to(U[0], start[STATES:])
     fastest = steady_speed(o.high[0] + o.high[1], p.linear_surge, p.quadratic_surge)
     sign = -1.0 if astern else 1.0
-    h = stage_length(o.t, 1) * STAGE_S
+    h = (o.t[1] - o.t[0]) * STAGE_S
     lag = lag_table(h, p)
     for k in range(N):
         x = X[k]
-        g = stage_length(o.t, k + 1)
+        g = o.t[k + 1] - o.t[k]
         before, h = h, g * STAGE_S
         if h != before:
             lag = lag_table(h, p)
@@ -224,7 +224,7 @@ def steering_guess(o: Constants, start: Array, target: Array, astern: bool, C: A
         vn, ve = target[N, 0], target[N, 1]
         if N > 1:
             end = max(k, 1)
-            length = stage_length(o.t, end + 1) * STAGE_S
+            length = (o.t[end + 1] - o.t[end]) * STAGE_S
             vn, ve = (target[end, 0] - target[end - 1, 0]) / length, (target[end, 1] - target[end - 1, 1]) / length
         # w = (ref - p) / T_p + ref' - c, limited
         wn = (target[k, 0] - vn * h - x[0]) / (APPROACH_S * o.time_ratio) + vn - C[k, 0]

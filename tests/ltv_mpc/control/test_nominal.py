@@ -9,8 +9,8 @@ import pytest
 
 from ltv_mpc import Vehicle
 from ltv_mpc.control.config import ControllerConfig
-from ltv_mpc.control.fence_clearance import NO_PATH, Scene, fence_cost
 from ltv_mpc.control.nominal import PREVIOUS_PLAN, STEERED_AHEAD, Cycle, choose_nominal
+from ltv_mpc.control.ocp.fence import NO_PATH, Scene, fence_cost
 from ltv_mpc.control.problem_data import Constants
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.geofence.allowed_path import NO_ZONES
