@@ -28,7 +28,7 @@ import numpy as np
 
 from ltv_mpc.control import nominal, shooting_grid
 from ltv_mpc.control.config import STAGE_NS
-from ltv_mpc.control.ocp.cycle import Cycle
+from ltv_mpc.control.nominal import Cycle
 from ltv_mpc.control.prediction import Start
 from ltv_mpc.control.vertical import ramp
 from ltv_mpc.messages import Array, Pair, Plan, PlanOrigin, Solve, SolveStatus, Times

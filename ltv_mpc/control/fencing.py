@@ -23,8 +23,7 @@ import math
 
 import numpy as np
 
-from ltv_mpc.control.fence_clearance import ACTIVE_M, NO_PATH, Scene, clearance_table, entry_s
-from ltv_mpc.control.ocp.fence import CORRIDOR_ROWS
+from ltv_mpc.control.ocp.fence import CORRIDOR_ROWS, NO_PATH, Scene, disc_at, from_box
 from ltv_mpc.control.prediction import Start
 from ltv_mpc.control.scaling import characteristic_scales
 from ltv_mpc.control.target_placement import bring_near, lead_round
@@ -33,6 +32,7 @@ from ltv_mpc.geofence.fence import Fence, hull_radius_m
 from ltv_mpc.geofence.half_planes import ROWS
 from ltv_mpc.geofence.obstacles import DISC, OBSTACLE_MARGIN, SD_FACTOR, ObstacleTable, largest_variance_m2
 from ltv_mpc.geofence.zones import Zones, clearances, nearest, pack_zones
+from ltv_mpc.jit import jit_outlined
 from ltv_mpc.messages import Array, Estimate, FenceInForce, FenceReport, Obstacles, Times
 from ltv_mpc.references.follower import PathBeside
 from ltv_mpc.references.schedule import Schedule
@@ -46,6 +46,9 @@ SLOW = 0.1
 
 SLOW_MPS = 0.16
 """Least value of that speed (m/s), for slow vehicles: AIS has up to 0.3 kn, in any direction, for a ship at anchor."""
+
+ACTIVE_M = 0.05
+"""Surplus over the required clearance up to which a zone counts as active."""
 
 DRIFT_S = np.arange(0.0, 600.0, 0.25)
 """Times after the end of a plan at which its drift is looked at (s)."""
@@ -347,3 +350,69 @@ def update_required(
         kept = np.minimum(np.maximum(need_before, now - ROOM * hull_m), now + SLACK * hull_m)
         need[lacks] = np.minimum(asked, np.maximum(kept, least))[lacks]
     return lacking
+
+
+@jit_outlined
+def _clearances(X: Array, t_s: Array, scene: Scene, near_m: float) -> tuple[Array, Array]:
+    """Return the clearances (K, Z + O) of points from all zones and obstacles, and the required ones (m).
+
+    Farther than ``near_m`` from the circle around a zone, the distance from the circle counts; the true one is larger.
+    """
+    Z, count = len(scene.need), len(scene.need) + len(scene.discs)
+    free, need = np.empty((len(t_s), count)), np.empty((len(t_s), count))
+    for k in range(len(t_s)):
+        n, e = X[k, 0], X[k, 1]
+        for z in range(Z):
+            free[k, z], need[k, z] = from_box(scene.zones, z, (n, e, n, e)), scene.need[z]
+            if free[k, z] < near_m:
+                free[k, z] = nearest(scene.zones, z, n, e)[0]
+        for i in range(len(scene.discs)):
+            north, east, required = disc_at(scene, i, t_s[k])
+            free[k, Z + i] = np.hypot(n - north, e - east) - scene.discs[i, 4]
+            need[k, Z + i] = required - scene.discs[i, 4]
+    return free, need
+
+
+def entry_s(X: Array, t_s: Array, scene: Scene, hull_m: float) -> float:
+    """Return when the hull enters a zone or an obstacle first (s after the first knot); infinite for never.
+
+    Parameters
+    ----------
+    X, t_s, scene : as in ``clearance_table``.
+    hull_m : radius of the hull (m).
+    """
+    step_m = np.hypot(np.diff(X[:, 0]), np.diff(X[:, 1])).max()
+    free = _clearances(X, t_s, scene, hull_m + step_m)[0] - hull_m
+    if free.min(initial=0.0) >= 0.0:
+        return math.inf
+    if free[0].min() < 0.0:
+        return 0.0
+    zones = np.flatnonzero(free.min(axis=0) < 0.0)
+    k = (free[:, zones] < 0.0).argmax(axis=0)
+    before, after = free[k - 1, zones], free[k, zones]
+    entries = t_s[k - 1] + before / (before - after) * (t_s[k] - t_s[k - 1])
+    return float(entries.min())
+
+
+def clearance_table(X: Array, t_s: Array, scene: Scene, hull_m: float) -> tuple[Array, float]:
+    """Return what a plan keeps from each zone and each obstacle, and when the hull enters one first.
+
+    Parameters
+    ----------
+    X : (N+1, 6) or (N+1, 8) states at the knots.
+    t_s : (N+1,) times of the knots after the first one (s).
+    scene : zones and obstacles.
+    hull_m : radius of the hull (m).
+
+    Returns
+    -------
+    (Z + O, 4) least clearance of the vehicle's origin (m), clearance at the first knot (m), smallest surplus over the
+    required clearance (m), number of knots that lack more than 1 cm of it; and the time of ``entry_s``. Clearances that
+    make a zone neither active nor the nearest one may be too small.
+    """
+    now = _clearances(X[:1], t_s[:1], scene, math.inf)[0][0]
+    near_m = max(now.min(initial=math.inf), scene.need.max(initial=0.0) + ACTIVE_M)
+    free, need = _clearances(X, t_s, scene, near_m)
+    surplus, least = free - need, free.min(axis=0)
+    table = np.column_stack([least, now, surplus.min(axis=0), (surplus < -0.01).sum(axis=0)])
+    return table, entry_s(X, t_s, scene, hull_m) if least.min(initial=math.inf) < hull_m else math.inf

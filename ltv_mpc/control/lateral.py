@@ -32,13 +32,12 @@ from ltv_mpc.control.disturbance import heading_free_mps
 from ltv_mpc.control.fallback import Fallback, LateralPlan, PreviousPlan
 from ltv_mpc.control.fencing import Fencing
 from ltv_mpc.control.linearisation import describe_non_finite
-from ltv_mpc.control.ocp.cycle import Cycle
+from ltv_mpc.control.nominal import Cycle
 from ltv_mpc.control.ocp.extension import Limit, Term
 from ltv_mpc.control.ocp.problem import Problem, is_finite
 from ltv_mpc.control.prediction import Start, currents_at_depths
 from ltv_mpc.control.problem_data import Constants
 from ltv_mpc.control.solvers import Result, Solver, SolverFactory
-from ltv_mpc.control.target_placement import bring_within
 from ltv_mpc.messages import Array, Estimate, Pair, PlanOrigin, Solve, SolveStatus
 from ltv_mpc.node import Stopwatch
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -226,7 +225,7 @@ class LateralPlanner:
         X, U = self._fallback.empty()
         left = self._config.sqp_iterations
         while left > 0:
-            near = cycle.fenced is not None and (self._rows_bind or nominal.comes_near(cycle))
+            near = cycle.fenced is not None and (self._rows_bind or cycle.is_near)
             self._stopwatch("linearise")
             commands, solve = self._solve_qp(shift, near=near, last=left == 1)
             if solve.status is not SolveStatus.SOLVED:
@@ -246,7 +245,7 @@ class LateralPlanner:
                 left -= 1
             if left > 0:
                 cycle.lin.X[...], cycle.lin.U[...] = X, U
-                cycle.linearise(cycle.lin)
+                cycle.linearise()
         return LateralPlan(X, U, PlanOrigin.SOLVED, solve, "")
 
     def _solve_qp(self, shift: float, *, near: bool, last: bool) -> tuple[Array, Solve]:
@@ -279,7 +278,7 @@ class LateralPlanner:
         rows = problem.low.shape[1]
         if rows not in self._solvers:
             self._solvers[rows] = self._make_solver()
-            self._solvers[rows].set_up(self._cycle.full_problem(problem, nominal.any_motion(self._cycle)))
+            self._solvers[rows].set_up(self._cycle.full_problem(problem))
         return self._solvers[rows]
 
     def _linearise(self, start: Start) -> float:
@@ -326,6 +325,23 @@ def _config_for(settings: ResolvedConfig, *, path: bool, heading: bool) -> Resol
     return msgspec.structs.replace(
         settings, limits=settings.limits.on(path=path), weights=settings.weights.at_heading(heading)
     )
+
+
+def bring_within(position: Array, radius_m: float, target: Array) -> None:
+    """Move the target of each knot to the point of a disc about it that is nearest to the vehicle.
+
+    Within the disc the vehicle stays where it is. The nearest point to each knot of the previous plan would let it
+    drift on with what that plan does: a slow turn would take minutes to end.
+
+    Parameters
+    ----------
+    position : (2,) of the vehicle at the first knot (m).
+    radius_m : radius of the disc (m).
+    target : (N+1, 3) as in ``ocp/terms.py``; its positions are overwritten.
+    """
+    off = position - target[:-1, :2]
+    share = np.minimum(radius_m / np.maximum(np.hypot(off[:, 0], off[:, 1]), 1e-9), 1.0)
+    target[:-1, :2] += share[:, None] * off
 
 
 def is_usable(commands: Array, solve: Solve) -> bool:

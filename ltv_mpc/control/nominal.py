@@ -1,4 +1,4 @@
-"""Nominal trajectory: the solution of the equations of motion that a cycle linearises along, and the step from it.
+"""Nominal trajectory: the motion that a cycle linearises along, the problem along it, and the step from it.
 
 It starts at the predicted state. It is the previous plan on the new knots, or a steering guess where that costs less.
 From there a line search along the exact flow goes towards the QP's commands.
@@ -24,27 +24,166 @@ problem, however far it drifts. The way out is to turn first and to push afterwa
     u_w = w . e(psi), within the limits of surge
 
 Yaw moment N and surge force X are distributed to port and starboard, inside box and slew. The QP refines the result.
+
+``Cycle`` has what the trajectories and problems of one cycle are made from, and the problems themselves. The arrays
+stay the same from cycle to cycle, and each cycle overwrites them. There are two problems: with the rows of
+fence and corridor and without, because a problem without them is solved faster.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from ltv_mpc.control import shooting_grid
-from ltv_mpc.control.fence_clearance import fence_cost, is_near
 from ltv_mpc.control.linearisation import Linearisation, linearise_along, propagate
+from ltv_mpc.control.ocp import assembly, fence, limits
 from ltv_mpc.control.ocp.assembly import cost
-from ltv_mpc.control.ocp.cycle import UNKNOWN, Cycle, Score
+from ltv_mpc.control.ocp.extension import Extensions, Limit, Term
+from ltv_mpc.control.ocp.fence import Scene, fence_cost, is_near
 from ltv_mpc.control.ocp.limits import clip_to_limits, command_bounds
-from ltv_mpc.control.problem_data import STAGE_S, Constants, stage_length
+from ltv_mpc.control.ocp.problem import Problem, least_surplus
+from ltv_mpc.control.problem_data import CHANGES, COMMANDS, STAGE_S, Constants
 from ltv_mpc.control.terminal_check import check_terminal
 from ltv_mpc.jit import copy_to, jit
 from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.dynamics import coefficients
 from ltv_mpc.vehicle.flow import STATES, advance_stage, lag_table
 from ltv_mpc.vehicle.resistance import steady_speed
+
+
+class Score(NamedTuple):
+    """Costs of a trajectory, and how it ends."""
+
+    cost: float  # without fence and corridor
+    fence: float  # cost of too small clearances
+    stuck: bool  # as in ``TerminalCheck``
+    tail: float  # cost beyond the horizon
+
+
+UNKNOWN = Score(math.inf, math.inf, False, 0.0)
+"""Score of no trajectory."""
+
+
+class Cycle:
+    """Constants, target, zones and linearisation of a cycle, and its problems."""
+
+    def __init__(self, constants: Constants, scene: Scene, terms: Sequence[Term | Limit] = ()) -> None:
+        """Allocate the arrays.
+
+        Parameters
+        ----------
+        constants : of the controller; a cycle may begin with others.
+        scene : zones and obstacles.
+        terms : of a user, beside those of ``ocp/``.
+        """
+        stages = len(constants.t) - 1
+        self.constants, self.scene = constants, scene
+        self.target = np.zeros((stages + 1, 3))
+        """Target at the knots (``ocp/terms.py``)."""
+        self.lin = Linearisation.empty(stages)
+        """The motion along the nominal trajectory."""
+        self.start = np.zeros(CHANGES)
+        """State at the first knot, and commands there."""
+        self.score = UNKNOWN
+        """Score of the nominal trajectory."""
+        self.further = Extensions(terms, np.diff(constants.t), self.target) if terms else None
+        """Terms and limits of a user."""
+        self.plain = assembly.empty(stages, 0 if self.further is None else self.further.rows)
+        """Problem without the rows of the fence."""
+        self.fenced: Problem | None = None
+        """Problem with these rows; None if there is no fence."""
+
+    def linearise(self) -> None:
+        """Linearise along the nominal trajectory."""
+        linearise_along(self.lin, self.constants.t, STAGE_S, self.constants.p)
+
+    def set_fence_rows(self, rows: int) -> bool:
+        """Set how many rows of a knot are those of fence and corridor, and return True if the number has changed.
+
+        Parameters
+        ----------
+        rows : 0 without a fence.
+        """
+        if rows == self.fence_rows:
+            return False
+        further = self.plain.low.shape[1] - limits.ROWS
+        self.fenced = assembly.empty(len(self.target) - 1, further + rows) if rows else None
+        return True
+
+    @property
+    def fence_rows(self) -> int:
+        """Rows of fence and corridor at a knot."""
+        return 0 if self.fenced is None else self.fenced.low.shape[1] - self.plain.low.shape[1]
+
+    def fill(self, problem: Problem) -> Problem:
+        """Fill in one of both problems along the nominal trajectory, and return it.
+
+        Parameters
+        ----------
+        problem : is overwritten.
+        """
+        self._fill(problem, self.lin, self.target)
+        if problem is self.fenced:
+            fence.fill(self.constants, self.lin.X, self.scene, self.fence_rows, problem)
+        return problem
+
+    def _fill(self, problem: Problem, lin: Linearisation, target: Array) -> None:
+        """Fill in all but the rows of the fence."""
+        o = self.constants
+        assembly.fill(o, lin, target, problem)
+        if self.further is not None:
+            scale = np.concatenate([o.state_scale, o.thrust_scale, o.thrust_scale])
+            self.further.add(problem, limits.ROWS, lin.X, lin.U, scale)
+
+    def surplus(self, z: Array) -> float:
+        """Return by how much a solution keeps the rows of the fence; negative: not all of them.
+
+        Parameters
+        ----------
+        z : (N+1, 12) solution of either problem; the other one is filled in.
+        """
+        return np.inf if self.fenced is None else least_surplus(self.fenced, z, self.plain.low.shape[1])
+
+    def commands(self, z: Array) -> Array:
+        """Return the commands (N+1, 2) of a solution (N).
+
+        Parameters
+        ----------
+        z : (N+1, 12) solution; the first row is the command in force.
+        """
+        commands = z[:, COMMANDS:CHANGES] * self.constants.thrust_scale
+        commands += self.lin.U
+        return commands
+
+    @property
+    def is_near(self) -> bool:
+        """True if the nominal trajectory comes near to a zone, an obstacle or the edge of the corridor."""
+        return is_near(self.lin.X, self.scene, self.constants.t, self.position_scale_m)
+
+    @property
+    def position_scale_m(self) -> float:
+        """Scale S of a position."""
+        return float(self.constants.state_scale[0])
+
+    def full_problem(self, problem: Problem) -> Problem:
+        """Return a problem of a size in which every number that can differ from zero does: it gives the pattern.
+
+        Otherwise the pattern, and with it the rounding, would depend on what was solved before.
+
+        Parameters
+        ----------
+        problem : of that size.
+        """
+        N, n, m, M = problem.sizes
+        full, first = Problem.empty(N, n, m, M), self.plain.sizes[3]
+        self._fill(full, _any_motion(self.constants), np.ones_like(self.target))
+        full.G[1:, first:, :2], full.low[1:, first:], full.penalty[1:, first:] = 1.0, -1.0, 1.0
+        return full
+
 
 APPROACH_S = 4.0
 """T_p of the paper's vehicle: an error is to vanish in about the length of a horizon. This constant and the next two
@@ -73,11 +212,11 @@ def steering_guess(o: Constants, start: Array, target: Array, astern: bool, C: A
     copy_to(U[0], start[STATES:])
     fastest = steady_speed(o.high[0] + o.high[1], p.linear_surge, p.quadratic_surge)
     sign = -1.0 if astern else 1.0
-    h = stage_length(o.t, 1) * STAGE_S
+    h = (o.t[1] - o.t[0]) * STAGE_S
     lag = lag_table(h, p)
     for k in range(N):
         x = X[k]
-        g = stage_length(o.t, k + 1)
+        g = o.t[k + 1] - o.t[k]
         before, h = h, g * STAGE_S
         if h != before:
             lag = lag_table(h, p)
@@ -85,7 +224,7 @@ def steering_guess(o: Constants, start: Array, target: Array, astern: bool, C: A
         vn, ve = target[N, 0], target[N, 1]
         if N > 1:
             end = max(k, 1)
-            length = stage_length(o.t, end + 1) * STAGE_S
+            length = (o.t[end + 1] - o.t[end]) * STAGE_S
             vn, ve = (target[end, 0] - target[end - 1, 0]) / length, (target[end, 1] - target[end - 1, 1]) / length
         # w = (ref - p) / T_p + ref' - c, limited
         wn = (target[k, 0] - vn * h - x[0]) / (APPROACH_S * o.time_ratio) + vn - C[k, 0]
@@ -196,36 +335,21 @@ def choose_nominal(cycle: Cycle, start: Array, old: Array, stages: float, *, was
         if other.cost + other.fence + tail * other.tail < before or math.isinf(best.cost):
             kind, best = other_kind, other
             lin.X[...], lin.U[...] = X, U
-    cycle.linearise(lin)
+    cycle.linearise()
     cycle.score = best
     return kind
 
 
-def any_motion(cycle: Cycle) -> Linearisation:
-    """Return a linearisation along a motion that is like no other: no number is zero by chance.
-
-    Parameters
-    ----------
-    cycle : has the constants, apart from what may be learned.
-    """
-    lin, rng = Linearisation.empty(len(cycle.target) - 1), np.random.default_rng(0)
+def _any_motion(o: Constants) -> Linearisation:
+    """Return a linearisation along a motion that is like no other: no number is zero by chance."""
+    lin, rng = Linearisation.empty(len(o.t) - 1), np.random.default_rng(0)
     lin.C[:] = rng.normal(size=lin.C.shape)
-    start, goal = rng.normal(size=len(cycle.start)), rng.normal(size=lin.U.shape)
-    p = coefficients(cycle.constants.p)
-    learned = cycle.constants._replace(p=np.array(p._replace(added_munk=0.5 * p.mass_surge)))  # none may be learned yet
+    start, goal = rng.normal(size=CHANGES), rng.normal(size=lin.U.shape)
+    p = coefficients(o.p)
+    learned = o._replace(p=np.array(p._replace(added_munk=0.5 * p.mass_surge)))  # none may be learned yet
     ramp_to(learned, start, goal, lin.C, lin.X, lin.U)
     linearise_along(lin, learned.t, STAGE_S, learned.p)
     return lin
-
-
-def comes_near(cycle: Cycle) -> bool:
-    """Return True if the nominal trajectory comes near to a zone, an obstacle or the edge of the corridor.
-
-    Parameters
-    ----------
-    cycle : has trajectory and zones.
-    """
-    return is_near(cycle.lin.X, cycle.scene, cycle.constants.t, cycle.position_scale_m)
 
 
 def line_search(cycle: Cycle, commands: Array, X: Array, U: Array) -> tuple[float, bool]:

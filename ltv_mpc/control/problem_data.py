@@ -13,7 +13,6 @@ import numpy as np
 
 from ltv_mpc.control.config import STAGE_NS, Weights
 from ltv_mpc.control.scaling import state_scale, thrust_scale, time_ratio
-from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.parameters import Vehicle
 
@@ -75,19 +74,3 @@ class Constants(NamedTuple):
             vertical=np.array([low[2], high[2], slew[2]]),
             time_ratio=time_ratio(vehicle),
         )
-
-
-@jit
-def stage_length(t: Array, k: int) -> float:
-    """Return the length of the stage that ends at knot k = 1 .. N, in first stages.
-
-    Parameters
-    ----------
-    t : (N+1,) knots in first stages.
-    k : knot.
-
-    Returns
-    -------
-    g_k = t_k - t_(k-1).
-    """
-    return float(t[k] - t[k - 1])

@@ -1,4 +1,4 @@
-"""Targets of a horizon where they cannot stay: behind a zone, out of reach, or in a disc that is near enough.
+"""Targets of a horizon where they cannot stay: behind a zone, or out of reach.
 
 A target behind a zone would pull the vehicle against it. So where the line through the targets is blocked, they move
 along the shortest way round the zones (``geofence/route.py``), no faster than the vehicle can follow:
@@ -46,23 +46,6 @@ def bring_near(position: Array, current: Array, target: Array, horizon_s: float,
     reach = FAR * horizon_s * (top_mps + math.hypot(current[0], current[1]))
     if distance.max() > reach:
         target[:-1, :2] = position + way * (reach / np.maximum(distance, reach))[:, None]
-
-
-def bring_within(position: Array, radius_m: float, target: Array) -> None:
-    """Move the target of each knot to the point of a disc about it that is nearest to the vehicle.
-
-    Within the disc the vehicle stays where it is. The nearest point to each knot of the previous plan would let it
-    drift on with what that plan does: a slow turn would take minutes to end.
-
-    Parameters
-    ----------
-    position : (2,) of the vehicle at the first knot (m).
-    radius_m : radius of the disc (m).
-    target : (N+1, 3) as in ``ocp/terms.py``; its positions are overwritten.
-    """
-    off = position - target[:-1, :2]
-    share = np.minimum(radius_m / np.maximum(np.hypot(off[:, 0], off[:, 1]), 1e-9), 1.0)
-    target[:-1, :2] += share[:, None] * off
 
 
 def lead_round(router: Router, position: Array, current: Array, target: Array, times_s: Array, scales: Scales) -> bool:

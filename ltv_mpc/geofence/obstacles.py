@@ -183,7 +183,7 @@ def predicted_m(report: Obstacle, t_ns: int) -> Pair:
 
 
 def required_m(report: Obstacle, age_s: float, need_m: float) -> float:
-    """Return how far from an obstacle the vehicle's origin stays (m): ``disc_at`` of fence_clearance.py, not compiled.
+    """Return how far from an obstacle the vehicle's origin stays (m): ``disc_at`` of ocp/fence.py, not compiled.
 
     Parameters
     ----------

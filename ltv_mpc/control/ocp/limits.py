@@ -31,7 +31,6 @@ from ltv_mpc.control.problem_data import (
     POSITION,
     TERMINAL_POSITION,
     Constants,
-    stage_length,
 )
 from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array
@@ -56,7 +55,7 @@ def cost(X: Array, target: Array, o: Constants) -> float:
         i = LIMITED_STATES[j]
         for k in range(1, len(X)):
             excess = max(o.low_state[j] - X[k, i], X[k, i] - o.high_state[j], 0.0)
-            total += stage_length(o.t, k) * excess / o.state_scale[i]
+            total += (o.t[k] - o.t[k - 1]) * excess / o.state_scale[i]
     return float(excess_penalty(X, target, o) * total) if total > 0.0 else 0.0
 
 
@@ -71,7 +70,7 @@ def add(p: Problem, lin: Linearisation, target: Array, o: Constants) -> None:
     """
     X, U, F, penalty = lin.X, lin.U, o.thrust_scale, excess_penalty(lin.X, target, o)
     for k in range(1, len(U)):
-        g = stage_length(o.t, k)
+        g = o.t[k] - o.t[k - 1]
         for i in range(2):
             low, high = command_bounds(U[0, i], o.t[k] * o.max_change[i], o.low[i], o.high[i])
             p.G[k, BOX + i, COMMANDS + i] = 1.0
@@ -101,7 +100,7 @@ def excess_penalty(X: Array, target: Array, o: Constants) -> float:
     """
     N, pull = target.shape[0] - 1, 0.0
     for k in range(N):
-        weight = o.weights[POSITION] * stage_length(o.t, k + 1) + (o.weights[TERMINAL_POSITION] if k == N - 1 else 0.0)
+        weight = o.weights[POSITION] * (o.t[k + 1] - o.t[k]) + (o.weights[TERMINAL_POSITION] if k == N - 1 else 0.0)
         pull += weight * np.hypot(X[0, 0] - target[k, 0], X[0, 1] - target[k, 1])
     return float(max(MIN_PENALTY, pull * o.state_scale[0]))
 

@@ -44,7 +44,6 @@ from ltv_mpc.control.problem_data import (
     THRUST,
     THRUST_CHANGE,
     Constants,
-    stage_length,
 )
 from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array
@@ -61,7 +60,7 @@ def cost(X: Array, U: Array, C: Array, target: Array, o: Constants, p: Problem |
     """
     total, N, w, S, F = 0.0, len(X) - 1, o.weights, o.state_scale, o.thrust_scale
     for k in range(1, N + 1):
-        g = stage_length(o.t, k)
+        g = o.t[k] - o.t[k - 1]
         for i in range(2):
             place = w[POSITION] * g + (w[TERMINAL_POSITION] if k == N else 0.0)
             total += _square(p, k, i, place, X[k, i] - target[k - 1, i], S[i])

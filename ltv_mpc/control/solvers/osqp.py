@@ -297,40 +297,29 @@ def prepare(p: Problem, places: Places, work: Sweep, duals: Array, at: Arrays) -
     ``dual_scale`` of the problem, or ``NOT_FINITE``; largest magnitude of a dual of the dynamics.
     """
     fill(p, places, at.numbers)
-    costate = np.zeros((p.h.shape[0], p.f.shape[1]))
+    N, n, largest = len(p.f), p.f.shape[1], 0.0
+    costate = np.zeros((N + 1, n))
     costates(p, work.z, duals, costate)
-    _guess(p, places, work, duals, costate, at)
-    size = dual_scale(at.numbers.q[: len(p.f) * p.h.shape[1]])
-    if rescale(places, at, size) < 0:
-        return NOT_FINITE, 0.0
-    largest = 0.0
-    for i in range(p.f.size):
-        largest = max(largest, abs(at.y[i]))
-    return size, largest
-
-
-@jit
-def _guess(p: Problem, places: Places, work: Sweep, duals: Array, costate: Array, at: Arrays) -> None:
-    """Write the first guess into x and y."""
-    n = p.f.shape[1]
-    for i in range(len(p.f) * p.h.shape[1]):
+    for i in range(N * p.h.shape[1]):
         at.x[i] = work.z.flat[n + i]
     for row in range(len(places.kind)):
         kind, i = places.kind[row], places.source[row]
         if kind == DYNAMICS:
             at.y[row] = costate[i // n + 1, i % n]
-            continue
-        dual, penalty = duals.flat[i], p.penalty.flat[i]
-        if kind == HARD:
-            at.y[row] = dual
+            largest = max(largest, abs(at.y[row]))
+        elif kind == HARD:
+            at.y[row] = duals.flat[i]
         elif kind == UPPER:
-            at.y[row] = max(dual, 0.0)
+            at.y[row] = max(duals.flat[i], 0.0)
         elif kind == LOWER:
-            at.y[row] = min(dual, 0.0)
+            at.y[row] = min(duals.flat[i], 0.0)
         else:
-            at.y[row] = min(abs(dual) - min(penalty, at.numbers.q[places.excess.flat[i]]), 0.0)
+            excess, penalty = places.excess.flat[i], p.penalty.flat[i]
+            at.y[row] = min(abs(duals.flat[i]) - min(penalty, at.numbers.q[excess]), 0.0)
             over = max(work.g.flat[i] - p.high.flat[i], p.low.flat[i] - work.g.flat[i], 0.0)
-            at.x[places.excess.flat[i]] = over if at.y[row] > -NOT_EXCEEDED else 0.0
+            at.x[excess] = over if at.y[row] > -NOT_EXCEEDED else 0.0
+    size = dual_scale(at.numbers.q[: N * p.h.shape[1]])
+    return (NOT_FINITE if rescale(places, at, size) < 0 else size), largest
 
 
 @jit

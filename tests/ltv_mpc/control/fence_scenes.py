@@ -7,7 +7,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from ltv_mpc.control.fence_clearance import NO_PATH, Scene
+from ltv_mpc.control.ocp.fence import NO_PATH, Scene
 from ltv_mpc.geofence.fence import Fence
 from ltv_mpc.geofence.zones import pack_zones
 from tests.ltv_mpc.control.problems import PAPER

@@ -9,16 +9,8 @@ import numpy as np
 import pytest
 
 from ltv_mpc.control.config import ControllerConfig
-from ltv_mpc.control.fence_clearance import (
-    ACTIVE_M,
-    PENALTY,
-    Scene,
-    clearance_table,
-    entry_s,
-    fence_cost,
-    is_near,
-    surplus_m,
-)
+from ltv_mpc.control.fencing import ACTIVE_M, clearance_table, entry_s
+from ltv_mpc.control.ocp.fence import PENALTY, Scene, fence_cost, is_near, surplus_m
 from ltv_mpc.control.problem_data import Constants
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.geofence.allowed_path import NO_ZONES

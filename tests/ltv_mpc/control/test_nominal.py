@@ -9,9 +9,8 @@ import pytest
 
 from ltv_mpc import Vehicle
 from ltv_mpc.control.config import ControllerConfig
-from ltv_mpc.control.fence_clearance import NO_PATH, Scene, fence_cost
-from ltv_mpc.control.nominal import PREVIOUS_PLAN, STEERED_AHEAD, any_motion, choose_nominal
-from ltv_mpc.control.ocp.cycle import Cycle
+from ltv_mpc.control.nominal import PREVIOUS_PLAN, STEERED_AHEAD, Cycle, choose_nominal
+from ltv_mpc.control.ocp.fence import NO_PATH, Scene, fence_cost
 from ltv_mpc.control.problem_data import Constants
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.geofence.allowed_path import NO_ZONES
@@ -92,7 +91,7 @@ def test_the_pattern_of_a_problem_is_that_of_the_vehicle_whatever_was_learned_be
     for learned in (0.0, 20.0):
         constants = Constants.of(even, CONFIG.weights, CONFIG.knots)
         cycle = Cycle(constants._replace(p=np.array(even.coefficients()._replace(added_munk=learned))), scene())
-        full = cycle.full_problem(cycle.plain, any_motion(cycle))
+        full = cycle.full_problem(cycle.plain)
         patterns.append([np.asarray(values) != 0.0 for values in full])
         assert coefficients(cycle.constants.p).added_munk == learned
     for one, other in zip(*patterns, strict=True):

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from ltv_mpc.control.lateral import bring_within
 from ltv_mpc.control.scaling import Scales
-from ltv_mpc.control.target_placement import FAR, LEAD, MIN_SPEED, bring_near, bring_within, lead_round
+from ltv_mpc.control.target_placement import FAR, LEAD, MIN_SPEED, bring_near, lead_round
 from ltv_mpc.geofence.fence import Disc, Fence
 from ltv_mpc.geofence.route import Router
 from ltv_mpc.geofence.zones import pack_zones

@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc.control.fence_clearance import disc_at
+from ltv_mpc.control.ocp.fence import disc_at
 from ltv_mpc.geofence.obstacles import OBSTACLE_MARGIN, ObstacleTable
 from ltv_mpc.messages import Array, FenceInForce, FenceReport, Obstacle, Obstacles, ZoneInForce
 from services.reporting.plots import fence as view

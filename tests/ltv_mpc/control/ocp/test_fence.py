@@ -10,8 +10,11 @@ import numpy as np
 import pytest
 
 from ltv_mpc.control.config import ControllerConfig
-from ltv_mpc.control.fence_clearance import (
+from ltv_mpc.control.linearisation import Linearisation
+from ltv_mpc.control.ocp import assembly, fence
+from ltv_mpc.control.ocp.fence import (
     CORRIDOR_PENALTY,
+    CORRIDOR_ROWS,
     NO_PATH,
     PENALTY,
     Scene,
@@ -19,9 +22,6 @@ from ltv_mpc.control.fence_clearance import (
     fence_cost,
     surplus_m,
 )
-from ltv_mpc.control.linearisation import Linearisation
-from ltv_mpc.control.ocp import assembly, fence
-from ltv_mpc.control.ocp.fence import CORRIDOR_ROWS
 from ltv_mpc.control.problem_data import Constants
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.solvers import make
