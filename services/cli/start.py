@@ -217,7 +217,7 @@ def _compile(folder: RunFolder, request: StopRequest) -> int | None:
     from services.reporting.terminal import progress_bar
     from services.runtime.stopping import DONE, FAILED, INTERRUPTED
     from services.supervisor import jit_cache
-    from services.supervisor.managed_process import describe_exit
+    from services.supervisor.child import describe_exit
     from services.supervisor.parent_death import OrphanCleanup
 
     if jit_cache.is_warm():

@@ -322,9 +322,9 @@ def test_a_killed_or_hung_process_continues_where_it_was_and_a_killed_sensors_pr
         return lambda: os.kill(pid_of(name, os.getpid()), number)
 
     def is_settled(done: int) -> bool:
-        failures = crewed.failures
-        settled = not failures.recovering and not failures.pending and crewed.children.forks.is_loaded()
-        return settled and failures.restarts == max(0, done - 1)
+        crew = crewed.processes
+        settled = not crew.recovering and not crew.pending and crew.forks.is_loaded()
+        return settled and len(crew.restarts_s) == max(0, done - 1)
 
     screen = Screen(*(harmful(*each) for each in harm), settled=is_settled)
     crewed = supervisor.Supervisor(s, run, screen)
