@@ -25,9 +25,7 @@ from ltv_mpc.messages import (
     Truth,
 )
 from ltv_mpc.node import DEFAULT_SOURCE
-from services.bus.latest_cache import LatestCache
-from services.bus.mailbox import Mailbox
-from services.bus.message_validation import valid_message
+from services.bus.mailbox import LatestCache, Mailbox
 from services.bus.roles import ROUTER
 from services.bus.session import Session
 from services.bus.topics import BY_TYPE, STATES, expression
@@ -140,8 +138,8 @@ class BusMonitor:
     def notices(self) -> Iterator[Message]:
         """Yield the run events and an operator's kill requests since the last call; invalid frames are skipped."""
         while (frame := self._notices.take(0.0)) is not None:
-            if frame.topic is not None and (found := valid_message(frame.topic, frame.key, frame.payload)) is not None:
-                yield found[0]
+            if frame.decoded is not None:
+                yield frame.decoded[0]
 
     def t_ns(self) -> int | None:
         """Return the vehicle time; None while it is not known."""
