@@ -28,7 +28,7 @@ from ltv_mpc.messages import Kill, NodeStatus, RunEvent
 from services.bus.options import SECURE, BusOptions
 from services.bus.outbox import Outbox, new_epoch
 from services.bus.roles import ROUTER, SUPERVISOR
-from services.bus.session import Session, Stopped, open_session
+from services.bus.session import Stopped, open_session
 from services.recording import recover
 from services.recording.records import report_progress
 from services.run.folder import DELETED, RunFolder
@@ -193,7 +193,8 @@ class Supervisor:
                 self._fill_jit_cache()
                 self._load()
                 self._start(sessions, bus)
-                self._wait_until(lambda: self.processes.run_complete, None, "")
+                while not self.processes.run_complete:
+                    self._tick()
                 in_order = True
             except RunFailed as failure:
                 in_order = failure.in_order
@@ -260,7 +261,7 @@ class Supervisor:
             if self._page is not None:
                 self._page.show(f"{jit_cache.NOTE}; {share:.0%} after {time.monotonic() - begun_s:.0f} s")
 
-        code = jit_cache.fill(self._folder.scenario, log, self.processes.cleanup.group, wait)
+        code = jit_cache.fill(self._folder.scenario, log, wait)
         if code != DONE:
             raise RunFailed(f"compiling {describe_exit(code)}", last_lines(log))
 
@@ -281,17 +282,22 @@ class Supervisor:
         """Start the processes in the order of the table, the recorder first."""
         rows = process_table.processes(self._run_config.scenario)
         session = sessions.enter_context(open_session(bus, stop=self._request, say=self._screen.say))
-        self._connect(session, rows)
+        monitor = self._monitor = BusMonitor(session, [row.name for row in rows])
+        self.processes.connect(monitor, Outbox(session, node=SUPERVISOR, epoch=new_epoch(), kinds=(RunEvent,)))
         others = rows[1:]  # the router runs
+
+        def wait_until_ready(name: str) -> None:
+            self._wait_until(lambda: monitor.newest(NodeStatus, name) is not None, name, "not ready")
+
         for row in others:
             if row is others[1]:
-                self._wait_until_ready(others[0].name)  # the recorder: it records the first message of all others
+                wait_until_ready(others[0].name)  # the recorder: it records the first message of all others
                 self._summary = GrowingSummary(self._run_config, self._folder.recording)
             if row is others[-1]:
                 self._wait_for_drawing()  # the clock starts when the last process is ready
             self._start_process(row, bus)
         for row in others:
-            self._wait_until_ready(row.name)
+            wait_until_ready(row.name)
         self.processes.all_ready = True
 
     def _start_process(self, row: process_table.ProcessRow, bus: BusOptions) -> None:
@@ -303,26 +309,16 @@ class Supervisor:
         while self._page is not None and self._page.awaited and time.monotonic() < until:
             self._tick()
 
-    def _connect(self, session: Session, rows: Sequence[process_table.ProcessRow]) -> None:
-        outbox = Outbox(session, node=SUPERVISOR, epoch=new_epoch(), kinds=(RunEvent,))
-        self._monitor = BusMonitor(session, [row.name for row in rows])
-        self.processes.connect(self._monitor, outbox)
-
     # --- watching ----------------------------------------------------------------------------------------------------
 
-    def _wait_until(self, condition: Callable[[], bool], name: str | None, failure: str) -> None:
-        """Tick until ``condition`` holds. If ``name`` is given, that process fails after ``READY_TIMEOUT_S``."""
+    def _wait_until(self, condition: Callable[[], bool], name: str, failure: str) -> None:
+        """Tick until ``condition`` holds; the process ``name`` fails after ``READY_TIMEOUT_S``."""
         until = time.monotonic() + READY_TIMEOUT_S
         while not condition():
-            if name is not None and time.monotonic() > until:
+            if time.monotonic() > until:
                 lines = last_lines(self.processes.by_name[name].log)
                 raise RunFailed(f"{name}: {failure} within {READY_TIMEOUT_S:.0f} s", lines)
             self._tick()
-
-    def _wait_until_ready(self, name: str) -> None:
-        monitor = self._monitor
-        assert monitor is not None
-        self._wait_until(lambda: monitor.newest(NodeStatus, name) is not None, name, "not ready")
 
     def _tick(self) -> None:
         """Check all processes once. Raises ``RunFailed``, or ``Stopped`` after a signal."""

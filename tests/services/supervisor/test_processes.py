@@ -205,7 +205,7 @@ def test_the_page_can_connect_before_anything_is_compiled_and_shows_the_share(
     run = folder.make("test", s.files, out=tmp_path / "run")
     page = Page()
 
-    def fill(_scenario: object, _log: object, _cleanup: object, wait: Callable[[float], None]) -> int:
+    def fill(_scenario: object, _log: object, wait: Callable[[float], None]) -> int:
         assert loopback.is_listening(page.bus[0].connect[0])
         wait(0.43)
         return 3  # the run ends here
