@@ -1,28 +1,49 @@
-"""Mailbox of a process: one queue of the frames of all keys, in the order of their arrival.
+"""Received frames of a process: a queue of all keys in the order of arrival, or the newest frames of each key.
 
-Zenoh's receiving thread only stamps and appends frames, so a slow reader never blocks it. The step loop takes them. A
-full queue drops new frames and counts them.
+Zenoh's receiving thread only stamps and stores frames, so a slow reader never blocks it. A full queue drops new frames
+and counts them.
 """
 
 from __future__ import annotations
 
+import contextlib
 import queue
 import time
-from typing import NamedTuple
+from collections import deque
+from dataclasses import dataclass
+from functools import cached_property
 
+from ltv_mpc.messages import Message, Plan
 from services.bus.topics import Topic
+from services.bus.wire import Header, WireError, message_at, unpack
 
 CAPACITY = 50_000  # frames: about 5 s of everything at 20 times real time, some 20 MB
 
+HISTORY: dict[type[Message], int] = {Plan: 32}
+"""Number of frames that are kept, other than one: 10 s of plans, one of which is in force at the actuators."""
 
-class Frame(NamedTuple):
-    """Received frame, not decoded yet."""
+
+@dataclass
+class Frame:
+    """Received frame, decoded when it is first asked for."""
 
     topic: Topic | None  # None for an unknown key
     key: str
     payload: bytes
-    received_monotonic_us: int
+    received_monotonic_us: int = 0
     attachment: bytes = b""  # of a message of another system
+
+    @cached_property
+    def decoded(self) -> tuple[Message, Header] | None:
+        """Message and header, for an occasional reader; None if the frame is invalid, which others count."""
+        with contextlib.suppress(WireError):
+            return None if self.topic is None else message_at(self.topic, self.key, unpack(self.payload))
+        return None
+
+    @property
+    def arrived_s(self) -> float:
+        """Monotonic time of its arrival (s)."""
+        return self.received_monotonic_us / 1e6
 
 
 class Mailbox:
@@ -53,3 +74,32 @@ class Mailbox:
 
     def __len__(self) -> int:
         return self._queue.qsize()
+
+
+class LatestCache:
+    """Newest frame of each key, or as many as ``HISTORY`` says, for occasional readers."""
+
+    def __init__(self) -> None:
+        self._frames: dict[str, deque[Frame]] = {}
+        self.arrived_s = 0.0
+        """Arrival of the newest frame of all (monotonic, s)."""
+
+    def offer(self, topic: Topic | None, key: str, payload: bytes) -> None:
+        """Add a frame to its key, in place of the oldest; called on Zenoh's thread."""
+        if topic is not None:
+            frame = Frame(topic, key, payload, time.monotonic_ns() // 1000)
+            self._frames.setdefault(key, deque(maxlen=HISTORY.get(topic.message_type, 1))).append(frame)
+            self.arrived_s = frame.arrived_s
+
+    def get(self, key: str) -> Frame | None:
+        """Return the newest frame of a key, or None."""
+        return next(iter(self.recent(key)), None)
+
+    def recent(self, key: str) -> list[Frame]:
+        """Return the frames of a key that are kept, the newest first."""
+        return list(self._frames.get(key, ()))[::-1]
+
+    def frames(self) -> list[Frame]:
+        """Return the newest frames of all keys."""
+        newest = map(self.get, list(self._frames))
+        return [frame for frame in newest if frame is not None]

@@ -7,18 +7,15 @@ checked separately. On all other keys one source publishes at a time.
 from __future__ import annotations
 
 import base64
-import contextlib
 import re
 from collections import Counter
-from typing import Any
 
-from ltv_mpc.errors import format_value
 from ltv_mpc.messages import Estimate, Message, Plan, RejectedFrame
 from services.bus.mailbox import Frame
 from services.bus.rate_limit import RateLimit
 from services.bus.sequence_check import SequenceCheck, silence_us
 from services.bus.topics import OPERATOR, Topic
-from services.bus.wire import Header, WireError, crc, from_map, unpack
+from services.bus.wire import Header, WireError, crc, message_at, unpack
 
 MAX_SHOWN_BYTES = 3072
 """Largest part of a rejected payload that is reported; 4 KiB as base64."""
@@ -37,22 +34,6 @@ SHARED: frozenset[type[Message]] = frozenset({Plan, Estimate})
 
 class RateExceeded(WireError):
     """Frame above the rate limit of its source; it is counted and not answered."""
-
-
-def message_at(topic: Topic, key: str, plain_map: dict[str, Any]) -> tuple[Message, Header]:
-    """Return message and header of a map on a key. Raises ``WireError`` if it is invalid or names another node."""
-    message, header = from_map(topic.message_type, plain_map)
-    node = key.rpartition("/")[2]
-    if topic.written_by == "*" and (named := getattr(message, "node", node)) != node:
-        raise WireError(f"node = {format_value(named)}: published on the key of {node}")
-    return message, header
-
-
-def valid_message(topic: Topic | None, key: str, payload: bytes) -> tuple[Message, Header] | None:
-    """Return message and header of a frame, for an occasional reader; None if it is invalid, which others count."""
-    with contextlib.suppress(WireError):
-        return None if topic is None else message_at(topic, key, unpack(payload))
-    return None
 
 
 class MessageValidator:

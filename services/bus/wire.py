@@ -18,8 +18,10 @@ import msgspec
 from msgspec import Meta
 
 from ltv_mpc.array_encoding import from_wire, to_wire
+from ltv_mpc.errors import format_value
 from ltv_mpc.messages import Count, Message, MonotonicTime
 from ltv_mpc.validation import rejection_reason
+from services.bus.topics import Topic
 
 S = TypeVar("S", bound=Message)
 T = TypeVar("T")
@@ -83,6 +85,15 @@ def from_map(kind: type[S], plain_map: dict[str, Any]) -> tuple[S, Header]:
     reason = _checked(rejection_reason, message)
     if reason is not None:
         raise WireError(reason)
+    return message, header
+
+
+def message_at(topic: Topic, key: str, plain_map: dict[str, Any]) -> tuple[Message, Header]:
+    """Return message and header of a map on a key. Raises ``WireError`` if it is invalid or names another node."""
+    message, header = from_map(topic.message_type, plain_map)
+    node = key.rpartition("/")[2]
+    if topic.written_by == "*" and (named := getattr(message, "node", node)) != node:
+        raise WireError(f"node = {format_value(named)}: published on the key of {node}")
     return message, header
 
 

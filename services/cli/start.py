@@ -217,13 +217,11 @@ def _compile(folder: RunFolder, request: StopRequest) -> int | None:
     from services.reporting.terminal import progress_bar
     from services.runtime.stopping import DONE, FAILED, INTERRUPTED
     from services.supervisor import jit_cache
-    from services.supervisor.managed_process import describe_exit
-    from services.supervisor.parent_death import OrphanCleanup
+    from services.supervisor.child import describe_exit
 
     if jit_cache.is_warm():
         return None
     typer.echo(jit_cache.NOTE, err=True)
-    cleanup = OrphanCleanup()
     try:
         with progress_bar("compiling") as show:
 
@@ -233,12 +231,10 @@ def _compile(folder: RunFolder, request: StopRequest) -> int | None:
                     raise InterruptedError
 
             log = folder.path / "compiling.log"
-            code = jit_cache.fill(folder.scenario, log, cleanup.group, wait)
+            code = jit_cache.fill(folder.scenario, log, wait)
     except InterruptedError:
         typer.echo("stopped while compiling", err=True)
         return INTERRUPTED if request.interrupted else FAILED
-    finally:
-        cleanup.close()
     if code != DONE:
         typer.echo(f"compiling {describe_exit(code)}: see {log}", err=True)
         return FAILED

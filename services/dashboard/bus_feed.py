@@ -22,9 +22,7 @@ from ltv_mpc.messages import (
     Truth,
 )
 from ltv_mpc.vehicle.parameters import Vehicle
-from services.bus.latest_cache import LatestCache, LatestFrame
-from services.bus.mailbox import Mailbox
-from services.bus.message_validation import valid_message
+from services.bus.mailbox import Frame, LatestCache, Mailbox
 from services.bus.outbox import Outbox, new_epoch
 from services.bus.session import Session
 from services.bus.topics import BY_TYPE, OPERATOR, expression
@@ -92,7 +90,7 @@ class BusFeed:
         """What a run prepares before it starts its processes; empty if unknown."""
         self._newest = LatestCache()
         self._every = Mailbox(WAITING)
-        self._seen: dict[str, LatestFrame] = {}
+        self._seen: dict[str, Frame] = {}
         self._newest_messages: dict[type[Message], Message] = {}
         self._processes: dict[str, tuple[NodeStatus, float]] = {}
         self._clock = VehicleClock()
@@ -127,9 +125,8 @@ class BusFeed:
                 if newest.decoded is not None:
                     self._receive(*newest.decoded, newest.arrived_s)
         while (frame := self._every.take(0.0)) is not None:
-            decoded = valid_message(frame.topic, frame.key, frame.payload)
-            if decoded is not None and not self._history.had(*decoded):
-                self._receive(*decoded, 0.0)
+            if frame.decoded is not None and not self._history.had(*frame.decoded):
+                self._receive(*frame.decoded, 0.0)
         if "since_s" in self.collector.values:
             self._history = self._history.again()
 
@@ -218,9 +215,9 @@ class BusFeed:
         )
 
 
-def _clock_first(frame: LatestFrame) -> tuple[bool, bool, str]:
+def _clock_first(frame: Frame) -> tuple[bool, bool, str]:
     """Return a sort key: clock, then truth, then the rest, so that the start error has a truth for its estimate."""
-    kind = frame.topic.message_type
+    kind = frame.topic and frame.topic.message_type
     return kind is not Clock, kind is not Truth, frame.key
 
 

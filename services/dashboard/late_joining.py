@@ -12,7 +12,7 @@ from itertools import chain
 from typing import TypeAlias
 
 from ltv_mpc.messages import ControllerStatus, Estimate, Message, Truth
-from services.bus.message_validation import valid_message
+from services.bus.mailbox import Frame
 from services.bus.roles import HISTORY
 from services.bus.session import Session
 from services.bus.topics import topic_at
@@ -67,10 +67,8 @@ class HistoryQuery:
 
     def _messages(self) -> list[Past]:
         """Return the messages in order, without invalid ones and without estimates of a source that is not in use."""
-        found: list[Past] = []
-        for key, payload in chain.from_iterable(list(self._parts)):
-            if (past := valid_message(topic_at(key), key, payload)) is not None:
-                found.append(past)
+        frames = (Frame(topic_at(key), key, payload) for key, payload in chain.from_iterable(list(self._parts)))
+        found = [frame.decoded for frame in frames if frame.decoded is not None]
         sources = {message.source_epoch for message, _ in found if isinstance(message, ControllerStatus)} - {0}
         if sources:
             found = [past for past in found if not isinstance(past[0], Estimate) or past[1].epoch in sources]

@@ -9,7 +9,6 @@ from typing import Any, TypeAlias
 
 from ltv_mpc.messages import Acknowledgement, Action, Command, Heartbeat, RejectedFrame
 from services.bus.mailbox import Mailbox
-from services.bus.message_validation import valid_message
 from services.bus.options import BusOptions
 from services.bus.outbox import Outbox, new_epoch
 from services.bus.session import BusError, Session, Stopped, open_session
@@ -78,8 +77,7 @@ def send_command(session: Session, action: Action, **fields: Any) -> Outcome:
     until = time.monotonic() + TIMEOUT_S
     while (left := until - time.monotonic()) > 0:
         frame = box.take(left)
-        found = None if frame is None else valid_message(frame.topic, frame.key, frame.payload)
-        match None if found is None else found[0]:
+        match frame and frame.decoded and frame.decoded[0]:
             case Acknowledgement(command_id=command.command_id) as answer:
                 word = "accepted" if answer.accepted else f"rejected: {answer.why}"
                 return answer.accepted, [f"{word}; command authority: {answer.authority.value}", *answer.warnings]

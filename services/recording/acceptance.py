@@ -18,11 +18,11 @@ from ltv_mpc.messages import Applied, Clock, ControllerStatus, Estimate, Message
 from ltv_mpc.safety.health import SECOND_SOURCE, InputMonitor
 from ltv_mpc.safety.source_selector import remember
 from ltv_mpc.vehicle.parameters import Vehicle
-from services.bus.message_validation import SHARED, message_at
+from services.bus.message_validation import SHARED
 from services.bus.roles import ANYONE, DISPLAY, ROLES
 from services.bus.sequence_check import FAR_AHEAD, MAX_SILENCE_US, MIN_SILENCE_US, SequenceCheck
 from services.bus.topics import OPERATOR, Topic, topic_at
-from services.bus.wire import Header, WireError
+from services.bus.wire import Header, WireError, message_at
 from services.recording.loss_accounting import LossAccounting
 from services.recording.reader import StoredMessage
 

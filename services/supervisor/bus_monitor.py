@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, NamedTuple, TypeVar, cast
 
+import msgspec
+
 from ltv_mpc.messages import (
     Applied,
     Clock,
@@ -23,13 +25,11 @@ from ltv_mpc.messages import (
     Truth,
 )
 from ltv_mpc.node import DEFAULT_SOURCE
-from services.bus.latest_cache import LatestCache
-from services.bus.mailbox import Mailbox
-from services.bus.message_validation import valid_message
+from services.bus.mailbox import LatestCache, Mailbox
 from services.bus.roles import ROUTER
 from services.bus.session import Session
-from services.bus.topics import BY_TYPE, expression
-from services.bus.wire import epoch_of
+from services.bus.topics import BY_TYPE, STATES, expression
+from services.bus.wire import Header, encode, epoch_of
 from services.runtime.clock import ClockError, VehicleClock, monotonic_us
 from services.supervisor.screen import LiveView
 
@@ -92,6 +92,22 @@ class BusMonitor:
                     return cast(Plan, plan)
         return None
 
+    def restore_state(self, node: str) -> bytes:
+        """Return the encoded state that a new process of this name continues from; empty if there is none.
+
+        It is the newest state that the failed process has published, updated with newer messages: the newest estimate,
+        and for a controller the plan that the actuators follow. No other process publishes these while the process is
+        dead.
+        """
+        kind = STATES.get(node)
+        state = None if kind is None else self.newest(kind)
+        if state is None:
+            return b""
+        state = msgspec.structs.replace(state, estimate=self.newest(Estimate) or state.estimate)
+        if isinstance(state, ControllerState):
+            state = msgspec.structs.replace(state, plan=self.plan_in_force())
+        return encode(state, Header(epoch=0, sequence=0))
+
     def nodes(self) -> list[str]:
         """Return the processes that have published a status."""
         keys = (frame.key for frame in self._newest.frames() if frame.topic is BY_TYPE[NodeStatus])
@@ -122,8 +138,8 @@ class BusMonitor:
     def notices(self) -> Iterator[Message]:
         """Yield the run events and an operator's kill requests since the last call; invalid frames are skipped."""
         while (frame := self._notices.take(0.0)) is not None:
-            if frame.topic is not None and (found := valid_message(frame.topic, frame.key, frame.payload)) is not None:
-                yield found[0]
+            if frame.decoded is not None:
+                yield frame.decoded[0]
 
     def t_ns(self) -> int | None:
         """Return the vehicle time; None while it is not known."""

@@ -4,14 +4,14 @@ This file holds the supervisor's handle and the server's program.
 
 It makes starts and restarts quicker, because a forked process need not import and load compiled code: a failed
 estimator or controller must be back within 3 s (docs/restarts.md). Measured times are in docs/notes/process-start.md.
-The server is the same after a fork, so the second restart is as quick as the first. It also forks a spare server, which
-takes its place if it dies or does not reply: a fork shares the memory, and loads nothing. A child is spawned, which
-takes longer, while no server has loaded, as the router, which is the first of all, or if the spare fails too.
+The server is the same after a fork, so the second restart is as quick as the first. A child is spawned, which takes
+longer, while no server has loaded: the router, which is the first of all, and while a server that has died, or does not
+reply, is replaced.
 
     reply     0: the server has loaded
     request   module, config and log (JSON), with the child's standard input, which holds the state to continue from,
-              and its lifeline (descriptors); or null, with the socket of the requests to the spare
-    reply     the pid of the child, or of the spare
+              and its lifeline (descriptors)
+    reply     the pid of the child
 
 The server has one thread and opens no Zenoh session, so no lock is held during a fork. It forks twice, and the process
 in between ends at once. The supervisor, as the nearest subreaper, then adopts the child: it can wait for it, and the
@@ -26,7 +26,6 @@ import ctypes
 import gc
 import os
 import select
-import signal
 import socket
 import struct
 import sys
@@ -40,6 +39,7 @@ import msgspec
 
 from services.runtime.lifeline import GO
 from services.supervisor import entry_point
+from services.supervisor.child import Child
 from services.supervisor.parent_death import die_with_parent
 
 PR_SET_CHILD_SUBREAPER = 36
@@ -49,7 +49,7 @@ LOADED = 0
 PYTHON = (sys.executable, "-P")
 PROGRAM = ("-m", "services.supervisor.forkserver")
 ENTRY_POINT = ("-m", "services.supervisor.entry_point")
-NAME, SPARE = "ltv-forkserver", "ltv-forkspare"
+NAME = "ltv-forkserver"
 MAX_REQUEST_BYTES = 65_536
 DESCRIPTORS = 2
 REPLY_TIMEOUT_S = 0.5
@@ -61,44 +61,8 @@ ADOPTION_TIMEOUT_S = 2.0  # a child waits at most this long for its new parent, 
 # --- the supervisor's end --------------------------------------------------------------------------------------------
 
 
-class Server:
-    """Fork server, by its pid and the socket to it."""
-
-    def __init__(self, pid: int, requests: socket.socket) -> None:
-        self.pid = pid
-        self._requests = requests
-        self._code: int | None = None
-
-    def exit_code(self) -> int | None:
-        """Return its exit code; None while it runs."""
-        if self._code is None:
-            pid, status = os.waitpid(self.pid, os.WNOHANG)
-            self._code = os.waitstatus_to_exitcode(status) if pid else None
-        return self._code
-
-    def reply(self, timeout_s: float) -> int | None:
-        """Return its next reply; None if there is none in time or it has died."""
-        with contextlib.suppress(ConnectionError):
-            if select.select([self._requests], [], [], timeout_s)[0] and (data := self._requests.recv(PID.size)):
-                return int(PID.unpack(data)[0])
-        return None
-
-    def fork(self, request: tuple[str, str, str] | None, descriptors: Sequence[int]) -> int | None:
-        """Return the pid of what it forks; None if it does not reply in time."""
-        with contextlib.suppress(ConnectionError):  # it has died
-            socket.send_fds(self._requests, [msgspec.json.encode(request)], descriptors)
-        return self.reply(REPLY_TIMEOUT_S)
-
-    def end(self) -> None:
-        """Kill it; its children live on."""
-        self._requests.close()
-        if self.exit_code() is None:
-            os.kill(self.pid, signal.SIGKILL)
-            os.waitpid(self.pid, 0)
-
-
 class ForkServer:
-    """Handle of the fork server and of its spare, and of another one in their place if both die.
+    """Handle of the fork server, and of another one in its place if it dies.
 
     Construct it in the main thread: the server and its children end with that thread (parent_death.py). ``group`` is
     the process group of all of them.
@@ -108,47 +72,34 @@ class ForkServer:
         self.log = log
         self._scenario = scenario
         self._group = group
-        self._servers: list[Server] = []  # the one in use and its spare
+        self.server: Child | None = None
+        self._requests: socket.socket
         self._loaded = False
         _set_subreaper(True)
 
     def load(self) -> None:
-        """Start a server, unless one runs; it loads what the processes of the scenario use. Then start its spare."""
-        for server in [one for one in self._servers if one.exit_code() is not None]:
-            self._end(server)
-        if self._servers and (len(self._servers) > 1 or not self.is_loaded()):
+        """Start the server, unless it runs; it loads what the processes of the scenario use."""
+        if self.server is not None and self.server.exit_code() is None:
             return
-        requests, server_socket = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._end()
+        self._requests, server_socket = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with server_socket:
             fd = server_socket.fileno()
-            if self._servers:
-                pid = self._servers[0].fork(None, (fd,))
-            else:
-                words = (*PROGRAM, str(os.getpid()), str(fd), str(self._scenario), str(self._group))
-                no_input = os.POSIX_SPAWN_OPEN, 0, os.devnull, os.O_RDONLY, 0
-                pid = _spawned(words, self.log, os.O_APPEND, 0, no_input, (os.POSIX_SPAWN_DUP2, fd, fd))
-        if pid is None:
-            requests.close()
-            self._end(self._servers[0])
-        else:
-            self._servers.append(Server(pid, requests))
-
-    @property
-    def pid(self) -> int:
-        """Process id of the fork server; 0 if none was started."""
-        return self._servers[0].pid if self._servers else 0
+            words = (*PROGRAM, str(os.getpid()), str(fd), str(self._scenario), str(self._group))
+            no_input = os.POSIX_SPAWN_OPEN, 0, os.devnull, os.O_RDONLY, 0
+            self.server = Child(_spawned(words, self.log, os.O_APPEND, 0, no_input, (os.POSIX_SPAWN_DUP2, fd, fd)))
 
     def exit_code(self) -> int | None:
-        """Return the exit code of the fork server; None while it runs, or if none was started."""
-        return self._servers[0].exit_code() if self._servers else None
+        """Return the exit code of the server; None while it runs, or if none was started."""
+        return None if self.server is None else self.server.exit_code()
 
     def is_loaded(self) -> bool:
         """Return True if the server has loaded."""
-        self._loaded = self._loaded or (self.pid != 0 and self._servers[0].reply(0.0) == LOADED)
+        self._loaded = self._loaded or (self.server is not None and self._reply(0.0) == LOADED)
         return self._loaded
 
     def start(self, module: str, config: Path, log: Path, state: bytes = b"") -> tuple[int, int]:
-        """Start a child: forked by the server, or by its spare, or spawned if none has loaded, or replies in time.
+        """Start a child: forked by the server, or spawned if it has not loaded, or does not reply in time.
 
         Return its pid and the supervisor's end of its lifeline.
         """
@@ -158,7 +109,11 @@ class ForkServer:
         os.set_blocking(heartbeats, False)
         try:
             if self.is_loaded():
-                pid = self._servers[0].fork((module, str(config), str(log)), (stdin, lifeline))
+                with contextlib.suppress(ConnectionError):  # the server has died
+                    socket.send_fds(
+                        self._requests, [msgspec.json.encode((module, str(config), str(log)))], (stdin, lifeline)
+                    )
+                pid = self._reply(REPLY_TIMEOUT_S)
             else:
                 # The second action makes the descriptor inheritable.
                 actions = (os.POSIX_SPAWN_DUP2, stdin, 0), (os.POSIX_SPAWN_DUP2, lifeline, lifeline)
@@ -172,20 +127,27 @@ class ForkServer:
                 os.write(heartbeats, GO)
             return pid, heartbeats
         os.close(heartbeats)  # a child that the server has forked too late ends at the end of its lifeline
-        self._end(self._servers[0])
-        return self.start(module, config, log, state)  # without that server
+        self._end()
+        return self.start(module, config, log, state)  # without the server
 
     def close(self) -> None:
-        """Kill the servers; their children live on."""
-        for server in tuple(self._servers):
-            self._end(server)
+        """Kill the server; its children live on."""
+        self._end()
         _set_subreaper(False)
 
-    def _end(self, server: Server) -> None:
-        """Kill a server. Its spare has loaded."""
-        self._servers.remove(server)
-        server.end()
-        self._loaded = self._loaded and bool(self._servers)
+    def _reply(self, timeout_s: float) -> int | None:
+        """Return the next reply of the server; None if there is none in time or it has died."""
+        with contextlib.suppress(ConnectionError):
+            if select.select([self._requests], [], [], timeout_s)[0] and (data := self._requests.recv(PID.size)):
+                return int(PID.unpack(data)[0])
+        return None
+
+    def _end(self) -> None:
+        if self.server is not None:
+            self._requests.close()
+            self.server.kill()
+            self.server.close()
+        self.server, self._loaded = None, False
 
 
 def _spawned(words: Sequence[str], log: Path, how: int, group: int, *actions: tuple[Any, ...]) -> int:
@@ -204,7 +166,10 @@ def _set_subreaper(on: bool) -> None:
 
 
 def main() -> None:
-    """Serve requests. ``sys.argv``: the parent's pid, the socket to it, the scenario, the group of the children."""
+    """Serve requests until the supervisor closes the socket.
+
+    ``sys.argv``: the parent's pid, the socket to it, the scenario, the group of the children.
+    """
     parent, channel, scenario, group = sys.argv[1:]
     die_with_parent(int(parent))
     with contextlib.suppress(OSError):  # the orphan cleanup has died before any child was started
@@ -213,14 +178,9 @@ def main() -> None:
     load(scenario)
     requests = socket.socket(fileno=int(channel))
     requests.send(PID.pack(LOADED))
-    serve(int(parent), requests)
-
-
-def serve(parent: int, requests: socket.socket) -> None:
-    """Fork what is requested until the supervisor closes the socket."""
     while data := (received := socket.recv_fds(requests, MAX_REQUEST_BYTES, DESCRIPTORS))[0]:
-        request = msgspec.json.decode(data, type=tuple[str, str, str] | None)
-        requests.send(PID.pack(_fork(parent, request, received[1], requests)))
+        request = msgspec.json.decode(data, type=tuple[str, str, str])
+        requests.send(PID.pack(_fork(int(parent), request, received[1], requests)))
 
 
 def load(scenario: str) -> None:
@@ -235,8 +195,8 @@ def load(scenario: str) -> None:
     gc.freeze()  # so that a child's garbage collection does not copy the shared pages
 
 
-def _fork(parent: int, request: tuple[str, str, str] | None, descriptors: list[int], requests: socket.socket) -> int:
-    """Fork a child of ``parent``, without a request the spare of this server. Return its pid."""
+def _fork(parent: int, request: tuple[str, str, str], descriptors: list[int], requests: socket.socket) -> int:
+    """Fork a child of ``parent``. Return its pid."""
     reading, writing = os.pipe()
     intermediate_pid = os.fork()
     if intermediate_pid == 0:
@@ -258,26 +218,20 @@ def _fork(parent: int, request: tuple[str, str, str] | None, descriptors: list[i
     return int(pid)
 
 
-def _run_child(parent: int, request: tuple[str, str, str] | None, descriptors: list[int]) -> NoReturn:
-    """Run the requested child, or the spare, to its end."""
+def _run_child(parent: int, request: tuple[str, str, str], descriptors: list[int]) -> NoReturn:
+    """Run the requested child to its end."""
     code = 1
     try:
         until = time.monotonic() + ADOPTION_TIMEOUT_S
         while os.getppid() != parent and time.monotonic() < until:
             time.sleep(0.001)
-        if request is None:
-            die_with_parent(parent)
-            entry_point.name_process(SPARE)
-            serve(parent, socket.socket(fileno=descriptors[0]))
-            code = 0
-        else:
-            (module, config, log), (stdin, lifeline) = request, descriptors
-            output = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666)
-            for number, target_fd in ((stdin, 0), (output, 1), (output, 2)):
-                os.dup2(number, target_fd)
-            os.close(stdin)
-            os.close(output)
-            code = entry_point.run(str(parent), module, config, str(lifeline))
+        (module, config, log), (stdin, lifeline) = request, descriptors
+        output = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666)
+        for number, target_fd in ((stdin, 0), (output, 1), (output, 2)):
+            os.dup2(number, target_fd)
+        os.close(stdin)
+        os.close(output)
+        code = entry_point.run(str(parent), module, config, str(lifeline))
     except SystemExit as stop:
         code = stop.code if isinstance(stop.code, int) else int(stop.code is not None)
     except BaseException:

@@ -52,16 +52,19 @@ def mark() -> Path:
     return CACHE / f"{MARK}-{digest.hexdigest()[:16]}"
 
 
-def command(scenario: str) -> list[str]:
-    """Return the command that compiles what a run of this scenario needs; it exits 0 when that is done."""
-    return [sys.executable, "-P", "-m", "services.supervisor.jit_cache", scenario]
+def command(scenario: str, *part: str) -> list[str]:
+    """Return the command that compiles what a run of this scenario needs, or a part of it, and then exits with 0.
+
+    It ends with this process.
+    """
+    return [sys.executable, "-P", "-m", "services.supervisor.jit_cache", str(os.getpid()), scenario, *part]
 
 
-def fill(scenario: Path, log: Path | None, group: int, wait: Callable[[float], None]) -> int:
-    """Run ``command`` in a process group, 0: one of its own, with its output in ``log``, and return its exit code.
+def fill(scenario: Path, log: Path | None, wait: Callable[[float], None]) -> int:
+    """Run ``command`` with its output in ``log``, and return its exit code.
 
     ``wait`` is called again and again with the share that is compiled, approximately. An exception of it ends the
-    compilation.
+    compilation. A terminal's Ctrl-C reaches this process alone.
     """
     with contextlib.nullcontext() if log is None else log.open("wb") as output:
         process = subprocess.Popen(
@@ -69,7 +72,7 @@ def fill(scenario: Path, log: Path | None, group: int, wait: Callable[[float], N
             stdin=subprocess.DEVNULL,
             stdout=output,
             stderr=subprocess.STDOUT,
-            process_group=group,
+            process_group=0,
         )
     before = stored_bytes()
     try:
@@ -120,19 +123,16 @@ def warm_up(run_config: RunConfig, part: str = "") -> None:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Compile what a run of the named scenario needs. Return 0 if everything is compiled."""
-    scenario, *part = arguments
+    """Compile what a run of the named scenario needs, or a part. Return 0 if all of it is compiled."""
+    parent, scenario, *part = arguments
+    die_with_parent(int(parent))
     if part:
-        name, parent = part
-        die_with_parent(int(parent))
-        os.nice(PARTS[name])
+        os.nice(PARTS[part[0]])
         share_compilation()
         gc.disable()  # a compiler frees next to nothing: collection would take a twelfth of the time
-        warm_up(resolve(scenario), name)
+        warm_up(resolve(scenario), *part)
         return 0
-    children = [
-        subprocess.Popen([*command(scenario), name, str(os.getpid())], stdin=subprocess.DEVNULL) for name in PARTS
-    ]
+    children = [subprocess.Popen(command(scenario, name), stdin=subprocess.DEVNULL) for name in PARTS]
     failed = [code for child in children if (code := child.wait())]
     if not failed:
         mark().touch()

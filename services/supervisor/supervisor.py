@@ -2,9 +2,9 @@
 
     prepare  router and live page, then compiled code if it is missing                   ``jit_cache.py``
     start    the recorder, then the others; each must report ready                       ``process_table.py``
-    watch    heartbeats, failures, restarts, screen, until the plant's last step         ``failure_handler.py``
+    watch    heartbeats, failures, restarts, screen, until the plant's last step         ``process_group.py``
              the summary of what is recorded so far                                      ``run/summary.py``
-    stop     nodes, then the recorder, which records all last messages, then the router  ``child_processes.py``
+    stop     nodes, then the recorder, which records all last messages, then the router  ``process_group.py``
 
 Estimator, controller, recorder and router are restarted if they die or hang. Plant and sensors are the simulated world:
 if one of them fails, the run ends. Ctrl-C ends all processes within two seconds. No process outlives the supervisor
@@ -28,7 +28,7 @@ from ltv_mpc.messages import Kill, NodeStatus, RunEvent
 from services.bus.options import SECURE, BusOptions
 from services.bus.outbox import Outbox, new_epoch
 from services.bus.roles import ROUTER, SUPERVISOR
-from services.bus.session import Session, Stopped, open_session
+from services.bus.session import Stopped, open_session
 from services.recording import recover
 from services.recording.records import report_progress
 from services.run.folder import DELETED, RunFolder
@@ -37,10 +37,8 @@ from services.run.summary import STOPPED, GrowingSummary, summarise_recording
 from services.runtime.stopping import DONE, FAILED, INTERRUPTED, StopRequest, stop_on_signals
 from services.supervisor import jit_cache, loopback, process_table
 from services.supervisor.bus_monitor import BusMonitor
-from services.supervisor.child_processes import ChildProcesses
-from services.supervisor.failure_handler import FailureHandler, RunFailed
-from services.supervisor.managed_process import describe_exit, last_lines
-from services.supervisor.parent_death import OrphanCleanup
+from services.supervisor.child import describe_exit, last_lines
+from services.supervisor.process_group import ProcessGroup, RunFailed
 from services.supervisor.screen import LivePage, Screen
 from sim.evaluation.summary import Summary
 
@@ -110,12 +108,10 @@ class Supervisor:
         self._page = page
         self._logs.mkdir(exist_ok=True)
         self._started_s = time.monotonic()
-        self._cleanup: OrphanCleanup
         self._request: StopRequest
         self._signals_at_stop: int | None = None
         """Number of signals up to the one that has ended the run; None if no signal has."""
-        self.children: ChildProcesses
-        self.failures: FailureHandler
+        self.processes: ProcessGroup
         self._monitor: BusMonitor | None = None  # None before the connection to the bus
         self._summary: GrowingSummary | None = None  # None before there is a recording
 
@@ -164,7 +160,7 @@ class Supervisor:
         dropped = max(summary.messages.dropped, 0 if recorder is None else recorder.dropped)
         summary = msgspec.structs.replace(
             summary,
-            restarts=self.failures.restarts,
+            restarts=len(self.processes.restarts_s),
             messages=msgspec.structs.replace(summary.messages, dropped=dropped),
             completed=summary.completed and not why,
             why=why or summary.why,
@@ -191,15 +187,14 @@ class Supervisor:
     def _supervise(self, certs: Path | None) -> Outcome:
         in_order = False
         with ExitStack() as sessions:
-            self._cleanup = OrphanCleanup()
-            self.children = ChildProcesses(self._folder.scenario, self._logs, self._cleanup.group)
-            self.failures = FailureHandler(self.children, self._screen)
+            self.processes = ProcessGroup(self._folder.scenario, self._logs, self._screen)
             try:
                 bus = self._open_bus(certs)
                 self._fill_jit_cache()
                 self._load()
                 self._start(sessions, bus)
-                self._wait_until(lambda: self.children.run_complete, None, "")
+                while not self.processes.run_complete:
+                    self._tick()
                 in_order = True
             except RunFailed as failure:
                 in_order = failure.in_order
@@ -208,20 +203,19 @@ class Supervisor:
                 self._signals_at_stop = self._request.signals
                 return self._ended_early(STOPPED, self._stop_code)
             finally:
-                killed = self.children.stop(in_order=in_order, close_session=sessions.close)
-                self._cleanup.close()
+                killed = self.processes.stop(in_order=in_order, close_session=sessions.close)
         return self._final_check(killed)
 
     def _ended_early(self, why: str, code: int, lines: tuple[str, ...] = ()) -> Outcome:
         """Say in the recording why the run ends before its end."""
         if self._monitor is not None:
-            self.failures.end(why)
+            self.processes.end(why)
         return Outcome(completed=False, exit_code=code, why=why, last_lines=lines)
 
     def _final_check(self, killed: Sequence[str]) -> Outcome:
         """Check that every process ended by itself and without an error, now that the run is complete."""
-        for name, child in self.children.by_name.items():
-            code, failure = child.exit_code(), self.failures.recovering.get(name)
+        for name, child in self.processes.by_name.items():
+            code, failure = child.exit_code(), self.processes.recovering.get(name)
             if failure is not None:
                 how = f"{failure.how}, and had not recovered by the end"
             elif code is None or name in killed:
@@ -231,7 +225,7 @@ class Supervisor:
             else:
                 continue
             why = f"{name} {how}"
-            return Outcome(completed=False, exit_code=FAILED, why=why, last_lines=child.last_lines())
+            return Outcome(completed=False, exit_code=FAILED, why=why, last_lines=last_lines(child.log))
         return Outcome(completed=True, exit_code=DONE)
 
     # --- starting ----------------------------------------------------------------------------------------------------
@@ -267,7 +261,7 @@ class Supervisor:
             if self._page is not None:
                 self._page.show(f"{jit_cache.NOTE}; {share:.0%} after {time.monotonic() - begun_s:.0f} s")
 
-        code = jit_cache.fill(self._folder.scenario, log, self._cleanup.group, wait)
+        code = jit_cache.fill(self._folder.scenario, log, wait)
         if code != DONE:
             raise RunFailed(f"compiling {describe_exit(code)}", last_lines(log))
 
@@ -275,7 +269,7 @@ class Supervisor:
         """Wait until the fork server has loaded; after ``LOADING_TIMEOUT_S`` the processes are spawned without it."""
         if self._page is not None:
             self._page.show("starting the processes")
-        forks, until = self.children.forks, time.monotonic() + LOADING_TIMEOUT_S
+        forks, until = self.processes.forks, time.monotonic() + LOADING_TIMEOUT_S
         forks.load()
         for row in process_table.processes(self._run_config.scenario):
             importlib.import_module(row.module)  # for its config, while the fork server loads the same
@@ -288,21 +282,26 @@ class Supervisor:
         """Start the processes in the order of the table, the recorder first."""
         rows = process_table.processes(self._run_config.scenario)
         session = sessions.enter_context(open_session(bus, stop=self._request, say=self._screen.say))
-        self._connect(session, rows)
+        monitor = self._monitor = BusMonitor(session, [row.name for row in rows])
+        self.processes.connect(monitor, Outbox(session, node=SUPERVISOR, epoch=new_epoch(), kinds=(RunEvent,)))
         others = rows[1:]  # the router runs
+
+        def wait_until_ready(name: str) -> None:
+            self._wait_until(lambda: monitor.newest(NodeStatus, name) is not None, name, "not ready")
+
         for row in others:
             if row is others[1]:
-                self._wait_until_ready(others[0].name)  # the recorder: it records the first message of all others
+                wait_until_ready(others[0].name)  # the recorder: it records the first message of all others
                 self._summary = GrowingSummary(self._run_config, self._folder.recording)
             if row is others[-1]:
                 self._wait_for_drawing()  # the clock starts when the last process is ready
             self._start_process(row, bus)
         for row in others:
-            self._wait_until_ready(row.name)
-        self.failures.all_ready = True
+            wait_until_ready(row.name)
+        self.processes.all_ready = True
 
     def _start_process(self, row: process_table.ProcessRow, bus: BusOptions) -> None:
-        self.children.start(row, process_table.config_of(row.name, self._run_config, self._folder, bus))
+        self.processes.start(row, process_table.config_of(row.name, self._run_config, self._folder, bus))
 
     def _wait_for_drawing(self) -> None:
         """Wait until the page is drawn, so that who has opened it sees the first seconds."""
@@ -310,63 +309,38 @@ class Supervisor:
         while self._page is not None and self._page.awaited and time.monotonic() < until:
             self._tick()
 
-    def _connect(self, session: Session, rows: Sequence[process_table.ProcessRow]) -> None:
-        outbox = Outbox(session, node=SUPERVISOR, epoch=new_epoch(), kinds=(RunEvent,))
-        self._monitor = BusMonitor(session, [row.name for row in rows])
-        self.failures.connect(self._monitor, outbox)
-
     # --- watching ----------------------------------------------------------------------------------------------------
 
-    def _wait_until(self, condition: Callable[[], bool], name: str | None, failure: str) -> None:
-        """Tick until ``condition`` holds. If ``name`` is given, that process fails after ``READY_TIMEOUT_S``."""
+    def _wait_until(self, condition: Callable[[], bool], name: str, failure: str) -> None:
+        """Tick until ``condition`` holds; the process ``name`` fails after ``READY_TIMEOUT_S``."""
         until = time.monotonic() + READY_TIMEOUT_S
         while not condition():
-            if name is not None and time.monotonic() > until:
-                lines = self.children.by_name[name].last_lines()
+            if time.monotonic() > until:
+                lines = last_lines(self.processes.by_name[name].log)
                 raise RunFailed(f"{name}: {failure} within {READY_TIMEOUT_S:.0f} s", lines)
             self._tick()
 
-    def _wait_until_ready(self, name: str) -> None:
-        monitor = self._monitor
-        assert monitor is not None
-        self._wait_until(lambda: monitor.newest(NodeStatus, name) is not None, name, "not ready")
-
     def _tick(self) -> None:
         """Check all processes once. Raises ``RunFailed``, or ``Stopped`` after a signal."""
-        self.children.wait(TICK_S, self._request)
+        self.processes.wait(TICK_S, self._request)
         if self._request():
             raise Stopped
         if self._folder.deleted:
             raise RunFailed(f"{self._folder.path}: {DELETED}")
         now_s = time.monotonic()
-        self.failures.check(now_s)
+        self.processes.check(now_s)
         if (monitor := self._monitor) is None:
             return
         for notice in monitor.notices():
             match notice:
-                case Kill(node=name) if name in self.children.by_name:  # handled as any other failure
-                    self.children.by_name[name].kill()
+                case Kill(node=name) if name in self.processes.by_name:  # handled as any other failure
+                    self.processes.by_name[name].kill()
                 case Kill(node=name):
                     self._screen.say(one_line(f"kill refused: no process {format_value(name)} in this run"))
                 case RunEvent() if notice.node != SUPERVISOR:
-                    self.failures.show(notice)
-        self.failures.check_recoveries(now_s)
-        if not self.failures.recovering:  # a restarted process needs the processor more
-            self.children.forks.load()
+                    self.processes.show(notice)
+        self.processes.check_recoveries(now_s)
+        if not self.processes.recovering:  # a restarted process needs the processor more
+            self.processes.forks.load()
         run, wall_s = self._run_config.scenario, now_s - self._started_s
-        self._screen.update(monitor.view(self._states(monitor), wall_s, start_ns=run.start_ns, end_ns=run.end_ns))
-
-    def _states(self, monitor: BusMonitor) -> dict[str, str]:
-        """Return the state of each process, for the screen."""
-        running = monitor.running()
-        states = {}
-        for name, child in self.children.by_name.items():
-            if (code := child.exit_code()) is not None:
-                states[name] = "ended" if code == DONE else "failed"
-            elif name in self.failures.recovering:
-                states[name] = "restarting"
-            elif name == "router" or monitor.newest(NodeStatus, name) is not None:
-                states[name] = "running" if running else "ready"
-            else:
-                states[name] = "spawned"
-        return states
+        self._screen.update(monitor.view(self.processes.states(), wall_s, start_ns=run.start_ns, end_ns=run.end_ns))

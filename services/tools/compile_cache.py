@@ -18,7 +18,7 @@ def main() -> int:
             told(share)
             time.sleep(jit_cache.POLL_S)
 
-        return jit_cache.fill(Path(sys.argv[1]), None, 0, wait)
+        return jit_cache.fill(Path(sys.argv[1]), None, wait)
 
 
 if __name__ == "__main__":

@@ -19,8 +19,7 @@ from ltv_mpc.geofence.fence import Disc, Fence
 from ltv_mpc.messages import Authority, ControllerStatus, Estimate, Message, Plan, RunEvent
 from ltv_mpc.references.geodesy import Origin, Place
 from ltv_mpc.vehicle.parameters import Vehicle
-from services.bus.latest_cache import LatestCache
-from services.bus.mailbox import Mailbox
+from services.bus.mailbox import LatestCache, Mailbox
 from services.bus.options import BusOptions
 from services.bus.session import open_session
 from services.bus.topics import BY_TYPE

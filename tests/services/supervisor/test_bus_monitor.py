@@ -25,7 +25,6 @@ from ltv_mpc.messages import (
 from services.bus.topics import BY_TYPE, STATES, Topic, topic_at
 from services.bus.wire import Header, decode, encode
 from services.supervisor.bus_monitor import BusMonitor
-from services.supervisor.failure_handler import restore_state
 from tests.services.bus.messages import CONTROLLER_STATE, ESTIMATOR_STATE, EXAMPLES
 
 
@@ -71,7 +70,7 @@ def plan(cycle_t_ns: int) -> Plan:
 
 
 def handed(node: str, watch: BusMonitor) -> ControllerState | EstimatorState:
-    return decode(STATES[node], restore_state(node, watch))[0]
+    return decode(STATES[node], watch.restore_state(node))[0]
 
 
 def test_a_newer_message_replaces_the_one_before_and_a_damaged_frame_hides_it(ether: Ether, watch: BusMonitor) -> None:
@@ -112,7 +111,7 @@ def test_the_plan_in_force_is_the_one_that_the_actuators_report(ether: Ether, wa
 def test_a_new_process_receives_its_checkpoint_the_newest_estimate_and_the_plan(
     ether: Ether, watch: BusMonitor
 ) -> None:
-    assert {restore_state(node, watch) for node in ("controller", "estimator", "recorder", "router")} == {b""}
+    assert {watch.restore_state(node) for node in ("controller", "estimator", "recorder", "router")} == {b""}
     ether.put(plan(0), epoch=5)
     ether.put(following(0))
     ether.put(CONTROLLER_STATE)

@@ -8,14 +8,15 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any, cast
 
 import msgspec
 import pytest
 
 from services.supervisor import forkserver
-from services.supervisor.child_processes import ChildProcesses
+from services.supervisor.child import last_lines
 from services.supervisor.managed_process import ManagedProcess
-from services.supervisor.parent_death import OrphanCleanup
+from services.supervisor.process_group import ProcessGroup
 from services.supervisor.process_table import ProcessRow
 from tests.procfs import alive, children_of, stat
 from tests.waiting import until
@@ -59,34 +60,26 @@ class Quick(msgspec.Struct):
 
 
 @pytest.fixture
-def cleanup(monkeypatch: pytest.MonkeyPatch) -> Iterator[OrphanCleanup]:
+def crew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[ProcessGroup]:
     monkeypatch.setattr(forkserver, "PROGRAM", ("-c", SERVER))
     monkeypatch.setattr(forkserver, "ENTRY_POINT", ("-c", SPAWNED))
-    cleanup = OrphanCleanup()
-    yield cleanup
-    cleanup.close()
-
-
-@pytest.fixture
-def crew(tmp_path: Path, cleanup: OrphanCleanup) -> Iterator[ChildProcesses]:
-    crew = ChildProcesses(tmp_path / "scenario.toml", tmp_path, cleanup.group)
+    crew = ProcessGroup(tmp_path / "scenario.toml", tmp_path, cast(Any, None))
     crew.forks.load()
     until(crew.forks.is_loaded)
     yield crew
     for child in crew.by_name.values():
         child.kill()
-        child.close()
-    crew.forks.close()
+    crew.stop(in_order=False, close_session=lambda: None)
 
 
-def started(crew: ChildProcesses, name: str, task: str, code: int | str = 0) -> ManagedProcess:
+def started(crew: ProcessGroup, name: str, task: str, code: int | str = 0) -> ManagedProcess:
     """Return a child that has begun its task, or has ended."""
     crew.start(ProcessRow(name, "quick", True), Quick(task, code))
     child = crew.by_name[name]
 
     def began() -> bool:
         child.read_heartbeats()
-        return bool(child.last_lines()) and (child.hang_detector.last_s is not None or child.exit_code() is not None)
+        return bool(last_lines(child.log)) and (child.hang_detector.last_s is not None or child.exit_code() is not None)
 
     until(began)
     return child
@@ -102,74 +95,58 @@ def started(crew: ChildProcesses, name: str, task: str, code: int | str = 0) -> 
     ],
 )
 def test_a_child_has_its_own_exit_code_and_log(
-    crew: ChildProcesses, forked: bool, task: str, code: int | str, exit_code: int, last: str
+    crew: ProcessGroup, forked: bool, task: str, code: int | str, exit_code: int, last: str
 ) -> None:
     if not forked:
-        crew.forks._end(crew.forks._servers[0])
+        crew.forks._end()
     child = started(crew, "plant", task, code)
 
     until(lambda: child.exit_code() is not None)
     assert child.exit_code() == exit_code
-    assert child.last_lines()[-1] == last
+    assert last_lines(child.log)[-1] == last
 
 
 @pytest.mark.parametrize("forked", [True, False])
 def test_a_child_belongs_to_the_supervisor_and_its_group_is_that_of_the_cleanup(
-    crew: ChildProcesses, cleanup: OrphanCleanup, forked: bool
+    crew: ProcessGroup, forked: bool
 ) -> None:
     if not forked:
-        crew.forks._end(crew.forks._servers[0])
+        crew.forks._end()
     child = started(crew, "plant", "sleeps")
-    assert stat(child.pid)[1:3] == [str(os.getpid()), str(cleanup.group)]
+    assert stat(child.pid)[1:3] == [str(os.getpid()), str(crew.cleanup.group)]
     assert Path(f"/proc/{child.pid}/comm").read_text() == "ltv-plant\n"
     assert ("forkserver.main()" in children_of(os.getpid())[child.pid]) == forked
-    assert int(Path(f"/proc/{cleanup.group}/statm").read_text().split()[1]) * 4096 < 16e6
+    assert int(Path(f"/proc/{crew.cleanup.group}/statm").read_text().split()[1]) * 4096 < 16e6
     child.kill()
     assert child.exit_code() == -signal.SIGKILL
 
 
 @pytest.mark.parametrize("number", [signal.SIGSTOP, signal.SIGKILL])
-def test_a_fork_server_that_fails_kills_no_child_and_is_replaced(crew: ChildProcesses, number: signal.Signals) -> None:
+def test_a_fork_server_that_fails_kills_no_child_and_is_replaced(crew: ProcessGroup, number: signal.Signals) -> None:
     """What a stopped one forks too late ends."""
-    first = crew.forks.pid
+    assert crew.forks.server is not None
+    first = crew.forks.server.pid
     sensors = started(crew, "sensors", "sleeps")
     os.kill(first, number)
-    plant = started(crew, "plant", "sleeps")
-    spawned = plant.pid
-    assert stat(plant.pid)[1] == str(os.getpid())
+    spawned = started(crew, "plant", "sleeps")
+    assert stat(spawned.pid)[1] == str(os.getpid())
     crew.forks.load()
     until(crew.forks.is_loaded)
-    assert crew.forks.pid != first
-    plant.kill()
-    plant.start()
+    spawned.kill()
+    spawned.close()
+    plant = started(crew, "plant", "sleeps")
+    assert "forkserver.main()" in children_of(os.getpid())[plant.pid]
     assert [child.exit_code() for child in crew.by_name.values()] == [None, None]
-    assert {sensors.pid, plant.pid, crew.forks.pid} <= children_of(os.getpid()).keys()
-    until(lambda: not {first, spawned} & children_of(os.getpid()).keys())
-
-
-@pytest.mark.parametrize("number", [signal.SIGSTOP, signal.SIGKILL])
-def test_its_spare_forks_in_its_place_and_makes_another_spare(crew: ChildProcesses, number: signal.Signals) -> None:
-    """The children of both are adopted, in the group of the cleanup."""
-    for _ in range(2):
-        crew.forks.load()
-        first, spare = (server.pid for server in crew.forks._servers)
-        os.kill(first, number)
-        plant = started(crew, "plant", "sleeps")
-        assert crew.forks.pid == spare
-        assert crew.forks.is_loaded()
-        assert "forkserver.main()" in children_of(os.getpid())[plant.pid]
-        assert stat(plant.pid)[1] == str(os.getpid())
-        assert first not in children_of(os.getpid())
-        plant.kill()
+    assert {sensors.pid, plant.pid, crew.forks.server.pid} <= children_of(os.getpid()).keys()
+    until(lambda: not {first, spawned.pid} & children_of(os.getpid()).keys())
 
 
 def test_what_a_slow_fork_server_forks_too_late_ends_and_takes_nothing_from_the_other_child(
-    crew: ChildProcesses, monkeypatch: pytest.MonkeyPatch
+    crew: ProcessGroup, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     late: list[int | None] = []
-    (server,) = crew.forks._servers
-    reply = server.reply
-    monkeypatch.setattr(server, "reply", lambda timeout_s: late.append(reply(10.0)) if timeout_s else reply(0.0))
+    reply = crew.forks._reply
+    monkeypatch.setattr(crew.forks, "_reply", lambda timeout_s: late.append(reply(10.0)) if timeout_s else reply(0.0))
     child = started(crew, "plant", "sleeps")
     assert late != [child.pid]
     until(lambda: not alive(late[0] or 0))
@@ -178,14 +155,14 @@ def test_what_a_slow_fork_server_forks_too_late_ends_and_takes_nothing_from_the_
 
 @pytest.mark.parametrize("forked", [True, False])
 def test_a_child_that_dies_before_it_is_let_go_on_has_its_exit_code(
-    crew: ChildProcesses, monkeypatch: pytest.MonkeyPatch, forked: bool
+    crew: ProcessGroup, monkeypatch: pytest.MonkeyPatch, forked: bool
 ) -> None:
     """The forked one cannot open its log, and the spawned one stops before it reads its lifeline."""
     if forked:
         (Path(crew.forks.log.parent) / "plant.log").mkdir()
     else:
         monkeypatch.setattr(forkserver, "ENTRY_POINT", ("-c", "raise SystemExit(1)"))
-        crew.forks._end(crew.forks._servers[0])
+        crew.forks._end()
     crew.start(ProcessRow("plant", "quick", True), Quick("sleeps"))
     until(lambda: crew.wait(0.01, lambda: False) or crew.by_name["plant"].exit_code() == 1)
 
@@ -194,16 +171,14 @@ SUPERVISOR = f"""
 import sys, time
 from pathlib import Path
 from services.supervisor import forkserver
-from services.supervisor.parent_death import OrphanCleanup
 from tests.services.supervisor import test_forkserver as test
 forkserver.PROGRAM = ("-c", {SERVER!r})
-cleanup = OrphanCleanup()
-crew = test.ChildProcesses(Path(sys.argv[1]) / "scenario.toml", Path(sys.argv[1]), cleanup.group)
+crew = test.ProcessGroup(Path(sys.argv[1]) / "scenario.toml", Path(sys.argv[1]), None)
 crew.forks.load()
 test.until(crew.forks.is_loaded)
 tasks = {{"plant": "sleeps", "controller": "holds the GIL", "recorder": "holds the GIL"}}
 pids = [test.started(crew, name, task).pid for name, task in tasks.items()]
-print(cleanup.group, crew.forks.pid, *pids, flush=True)
+print(crew.cleanup.group, crew.forks.server.pid, *pids, flush=True)
 time.sleep(600)
 """
 

@@ -205,7 +205,7 @@ def test_the_page_can_connect_before_anything_is_compiled_and_shows_the_share(
     run = folder.make("test", s.files, out=tmp_path / "run")
     page = Page()
 
-    def fill(_scenario: object, _log: object, _cleanup: object, wait: Callable[[float], None]) -> int:
+    def fill(_scenario: object, _log: object, wait: Callable[[float], None]) -> int:
         assert loopback.is_listening(page.bus[0].connect[0])
         wait(0.43)
         return 3  # the run ends here
@@ -322,9 +322,9 @@ def test_a_killed_or_hung_process_continues_where_it_was_and_a_killed_sensors_pr
         return lambda: os.kill(pid_of(name, os.getpid()), number)
 
     def is_settled(done: int) -> bool:
-        failures = crewed.failures
-        settled = not failures.recovering and not failures.pending and crewed.children.forks.is_loaded()
-        return settled and failures.restarts == max(0, done - 1)
+        crew = crewed.processes
+        settled = not crew.recovering and not crew.pending and crew.forks.is_loaded()
+        return settled and len(crew.restarts_s) == max(0, done - 1)
 
     screen = Screen(*(harmful(*each) for each in harm), settled=is_settled)
     crewed = supervisor.Supervisor(s, run, screen)

@@ -11,9 +11,7 @@ import msgspec
 import pytest
 
 from services.supervisor.bus_monitor import Activity
-from services.supervisor.child_processes import ChildProcesses
-from services.supervisor.failure_handler import Failure, FailureHandler, RunFailed
-from services.supervisor.parent_death import OrphanCleanup
+from services.supervisor.process_group import Failure, ProcessGroup, RunFailed
 from services.supervisor.process_table import ProcessRow
 from tests.waiting import until
 
@@ -25,21 +23,15 @@ class Nothing(msgspec.Struct):
 
 
 @pytest.fixture
-def crew(tmp_path: Path) -> Iterator[ChildProcesses]:
-    cleanup = OrphanCleanup()
-    crew = ChildProcesses(tmp_path / "scenario.toml", tmp_path, cleanup.group)
+def crew(tmp_path: Path) -> Iterator[ProcessGroup]:
+    crew = ProcessGroup(tmp_path / "scenario.toml", tmp_path, NOTHING)
     yield crew
-    for child in crew.by_name.values():
-        child.kill()
-        child.close()
-    crew.forks.close()
-    cleanup.close()
+    crew.stop(in_order=False, close_session=lambda: None)
 
 
-def test_at_most_five_restarts_count_within_a_minute_and_a_denied_one_never() -> None:
-    handler = FailureHandler(NOTHING, NOTHING)
+def test_at_most_five_restarts_count_within_a_minute_and_a_denied_one_never(crew: ProcessGroup) -> None:
     times_s = (0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 59.9, 60.0, 60.5, 61.0)
-    assert [handler.may_restart(t) for t in times_s] == [True] * 5 + [False] * 2 + [True, False, True]
+    assert [crew.may_restart(t) for t in times_s] == [True] * 5 + [False] * 2 + [True, False, True]
 
 
 @pytest.mark.parametrize(
@@ -51,16 +43,15 @@ def test_at_most_five_restarts_count_within_a_minute_and_a_denied_one_never() ->
     ],
 )
 def test_what_may_not_be_restarted_ends_the_run_with_its_last_lines(
-    crew: ChildProcesses, restartable: bool, ready: bool, restarts: int, why: str, in_order: bool
+    crew: ProcessGroup, restartable: bool, ready: bool, restarts: int, why: str, in_order: bool
 ) -> None:
-    handler = FailureHandler(crew, NOTHING)
-    handler.all_ready = ready
+    crew.all_ready = ready
     for _ in range(restarts):
-        handler.may_restart(time.monotonic())
+        crew.may_restart(time.monotonic())
     crew.start(ProcessRow("estimator", "no.such.module", restartable), Nothing())
     until(lambda: crew.by_name["estimator"].exit_code() is not None)
     with pytest.raises(RunFailed) as failed:
-        handler.check(time.monotonic())
+        crew.check(time.monotonic())
     assert failed.value.why == f"estimator ended with exit code 1{why}"
     assert "'no'" in failed.value.last_lines[-1]
     assert failed.value.in_order == in_order
@@ -79,5 +70,5 @@ def test_what_may_not_be_restarted_ends_the_run_with_its_last_lines(
 def test_a_process_is_back_with_the_first_message_of_another_epoch(
     old_epoch: int, epoch: int, arrived_s: float, over: bool
 ) -> None:
-    failure = Failure("estimator", "was ended by SIGKILL", 9.9, old_epoch, restarted_s=10.1)
+    failure = Failure("was ended by SIGKILL", 9.9, old_epoch, restarted_s=10.1)
     assert failure.is_over(Activity(epoch, arrived_s)) == over

@@ -40,7 +40,7 @@ def ended(path: Path) -> tuple[Supervisor, Any]:
     request.receive(signal.SIGINT, None)
     screen: Any = Screen(request)
     made: Any = Supervisor(run_config, folder.make("x", run_config.files, out=path), screen)
-    made._request, made._signals_at_stop, made.failures = request, request.signals, SimpleNamespace(restarts=0)
+    made._request, made._signals_at_stop, made.processes = request, request.signals, SimpleNamespace(restarts_s=[])
     return made, Outcome(completed=False, exit_code=130, why=STOPPED)
 
 
