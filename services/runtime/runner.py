@@ -51,7 +51,7 @@ from services.runtime.console import Console
 from services.runtime.input_receiver import InputReceiver
 from services.runtime.lifeline import LIFELINE
 from services.runtime.node_io import NodeIO, SavedState
-from services.runtime.node_status import CLOCK_MESSAGE, CLOCK_OR_ESTIMATE, NodeStatusReporter, WaitingFor
+from services.runtime.node_status import NodeStatusReporter, WaitingFor
 from services.runtime.process_time import ClockOptions, ProcessTime
 from services.runtime.serve import run_until_stopped
 from services.runtime.stage_timer import StageTimer
@@ -189,7 +189,7 @@ class Runner:
         waiting = WaitingFor(
             time.clock,
             inputs,
-            clock_source=CLOCK_OR_ESTIMATE if time.syncs else CLOCK_MESSAGE,
+            from_inputs=time.syncs,
             node_waits=(lambda: node.waiting_for) if isinstance(node, WaitingNode) else None,
         )
         self._status = NodeStatusReporter(
