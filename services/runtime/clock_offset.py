@@ -190,11 +190,9 @@ class ClockOffsetEstimator:
             self._upper.add(*of_plan)
         return True
 
-    def read(self, now_us: int) -> ClockOffset | None:
-        """Return the offset at ``now_us``; None before the first message."""
-        low, high = self._lower.tightest(now_us), self._upper.tightest(now_us)
-        if low is None:
-            return None
+    def read(self, now_us: int) -> ClockOffset:
+        """Return the offset at ``now_us``; 0 before the first message."""
+        low, high = self._lower.tightest(now_us) or 0, self._upper.tightest(now_us)
         if high is None:
             return ClockOffset(ClockMode.ONE_WAY, low + self._input_delay_ns, None)
         return ClockOffset(ClockMode.TWO_WAY, (high + low) // 2, (high - low + 1) // 2)
