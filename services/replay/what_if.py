@@ -29,10 +29,9 @@ class _Kind(NamedTuple):
     """Comparison of two messages of one node."""
 
     message_type: type[Message]
-    columns: tuple[tuple[str, str], ...]  # quantity and unit
-    time: Callable[[Any], int]  # time that identifies a pair
+    time: str  # field with the time that identifies a pair
+    units: Mapping[str, str]  # by column: a quantity
     deviations: Callable[[Any, Any], Array]  # recorded, replayed -> (K, columns)
-    origin: Callable[[Any], str] = lambda _: ""
 
 
 def _thrusts(recorded: Plan, replayed: Plan) -> Array:
@@ -59,27 +58,12 @@ def _motion(recorded: Estimate, replayed: Estimate) -> Array:
     return np.array([row])
 
 
+_THRUSTS = {"port thrust": "N", "starboard thrust": "N", "vertical thrust": "N"}
+_POSITION = {"north": "m", "east": "m", "depth": "m"}
+_VELOCITY_AND_HEADING = {"velocity north": "m/s", "velocity east": "m/s", "heading": "rad"}
 _KINDS: Mapping[str, _Kind] = {
-    ControllerNode.name: _Kind(
-        Plan,
-        (("port thrust", "N"), ("starboard thrust", "N"), ("vertical thrust", "N")),
-        lambda plan: plan.cycle_t_ns,
-        _thrusts,
-        lambda plan: plan.origin.value,
-    ),
-    Estimator.name: _Kind(
-        Estimate,
-        (
-            ("north", "m"),
-            ("east", "m"),
-            ("depth", "m"),
-            ("velocity north", "m/s"),
-            ("velocity east", "m/s"),
-            ("heading", "rad"),
-        ),
-        lambda estimate: estimate.t_ns,
-        _motion,
-    ),
+    ControllerNode.name: _Kind(Plan, "cycle_t_ns", _THRUSTS, _thrusts),
+    Estimator.name: _Kind(Estimate, "t_ns", _POSITION | _VELOCITY_AND_HEADING, _motion),
 }
 
 
@@ -95,7 +79,7 @@ class WhatIf:
         self.replayed: Counter[str] = Counter()
         self._kind = kind = _KINDS[node]
         self._waiting: dict[bool, dict[int, Message]] = {False: {}, True: {}}  # by "replayed"
-        self._squares, self._max_abs, self._final = (np.zeros(len(kind.columns)) for _ in range(3))
+        self._squares, self._max_abs, self._final = (np.zeros(len(kind.units)) for _ in range(3))
         self._rows = 0
 
     @property
@@ -106,7 +90,7 @@ class WhatIf:
         values = np.column_stack([np.sqrt(self._squares / self._rows), self._max_abs, self._final]).tolist()
         return tuple(
             Deviation(of=of, unit=unit, rms=rms, max_abs=max_abs, final=final)
-            for (of, unit), (rms, max_abs, final) in zip(self._kind.columns, values, strict=True)
+            for (of, unit), (rms, max_abs, final) in zip(self._kind.units.items(), values, strict=True)
         )
 
     @property
@@ -146,8 +130,9 @@ class WhatIf:
         kind = self._kind
         if not isinstance(message, kind.message_type):
             return
-        (self.replayed if replayed else self.recorded)[kind.origin(message)] += 1
-        t_ns = kind.time(message)
+        origin = message.origin.value if isinstance(message, Plan) else ""
+        (self.replayed if replayed else self.recorded)[origin] += 1
+        t_ns = getattr(message, kind.time)
         other = self._waiting[not replayed].pop(t_ns, None)
         if other is not None:
             self._pair(kind.deviations(other, message) if replayed else kind.deviations(message, other))

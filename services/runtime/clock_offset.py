@@ -35,6 +35,7 @@ A clock that is set makes the bounds contradict each other, because it moves the
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from ltv_mpc.messages import ClockMode
@@ -109,6 +110,15 @@ class OffsetBounds:
         return None if best is None else self._sign * best
 
 
+@dataclass
+class _Suspects:
+    """Stamps and receipts in a row that suggest a step of the clock."""
+
+    contradictions: tuple[_Bound, ...] = ()
+    late: tuple[_Bound, ...] = ()
+    receipts: dict[int, _Bound] = field(default_factory=dict)  # by the time at which the plan was sent
+
+
 class ClockOffsetEstimator:
     """Estimator of theta by bounds. It reads no clock: our times are in us, the publisher's in ns."""
 
@@ -138,14 +148,14 @@ class ClockOffsetEstimator:
         if low is None or self._settled_us is None:
             self._settled_us = m_us + SETTLING_US
         elif self._contradicts(stamp, low, high):
-            if not self._suspects.add_contradiction(stamp, self._variation_ns):
+            ahead = self._suspects.contradictions = (*self._suspects.contradictions[1 - STEP_DETECTED_AT :], stamp)
+            if len(ahead) < STEP_DETECTED_AT or not self._agree(ahead):
                 return False
-            self._step(self._suspects.contradictions, certain=True)
+            self._step(ahead, certain=True)
         elif stamp.ns < low - max(LATE_NS, self._variation_ns):
-            if self._suspects.add_late(stamp, self._variation_ns):
-                self._step(self._suspects.late, certain=bool(self._suspects.receipts))
+            self._add_late(stamp)
         else:
-            self._suspects.clear_stamps()
+            self._suspects.contradictions = self._suspects.late = ()
             self._delays.append(max(low - stamp.ns, 0))
         self.stamps += 1
         self._newest = stamp
@@ -162,24 +172,27 @@ class ClockOffsetEstimator:
         low = self._lower.tightest(m_us)
         if low is None or receipt.ns > low + 2 * MAX_DELAY_NS:
             return False
+        suspects = self._suspects
         if receipt.ns >= low:
-            self._suspects.clear_receipts(t_ns, self._newest.t_ns)
+            suspects.receipts.clear()
+            # If it is newer than the first late stamp, their link is slow. One from before a step back is later than
+            # the stamp of the message that reports it.
+            if suspects.late and suspects.late[0].t_ns <= t_ns <= self._newest.t_ns:
+                suspects.late = ()
             self._upper.add(*receipt)
             self._age()
-        elif self._suspects.add_receipt(receipt):
-            receipts = self._suspects.receipts
-            self._step((self._newest,), certain=True)
-            for of_plan in receipts.values():
-                self._upper.add(*of_plan)
-        else:
+            return True
+        suspects.receipts[m_us] = receipt
+        if len(suspects.receipts) < STEP_DETECTED_AT:
             return False
+        self._step((self._newest,), certain=True)
+        for of_plan in suspects.receipts.values():
+            self._upper.add(*of_plan)
         return True
 
-    def read(self, now_us: int) -> ClockOffset | None:
-        """Return the offset at ``now_us``; None before the first message."""
-        low, high = self._lower.tightest(now_us), self._upper.tightest(now_us)
-        if low is None:
-            return None
+    def read(self, now_us: int) -> ClockOffset:
+        """Return the offset at ``now_us``; 0 before the first message."""
+        low, high = self._lower.tightest(now_us) or 0, self._upper.tightest(now_us)
         if high is None:
             return ClockOffset(ClockMode.ONE_WAY, low + self._input_delay_ns, None)
         return ClockOffset(ClockMode.TWO_WAY, (high + low) // 2, (high - low + 1) // 2)
@@ -211,6 +224,19 @@ class ClockOffsetEstimator:
         settling = self._settled_us is not None and stamp.m_us < self._settled_us
         return stamp.ns > low + MIN_VARIATION_NS and not settling and stamp.ns > low + self._variation_ns
 
+    def _add_late(self, stamp: _Bound) -> None:
+        """Add a late stamp. If those of the last second are late by the same amount, the clock was set."""
+        self._suspects.contradictions = ()
+        late = (*self._suspects.late, stamp)
+        while len(late) > STEP_DETECTED_AT and stamp.m_us - late[1].m_us >= LATE_US:
+            late = late[1:]
+        self._suspects.late = late
+        if len(late) >= STEP_DETECTED_AT and stamp.m_us - late[0].m_us >= LATE_US and self._agree(late):
+            self._step(late, certain=bool(self._suspects.receipts))
+
+    def _agree(self, bounds: tuple[_Bound, ...]) -> bool:
+        return max(bounds).ns - min(bounds).ns <= self._variation_ns
+
     def _step(self, stamps: tuple[_Bound, ...], *, certain: bool) -> None:
         """Discard all bounds but those of ``stamps``: the clock was set."""
         self._lower, self._upper = OffsetBounds(1), OffsetBounds(-1)
@@ -225,51 +251,6 @@ class ClockOffsetEstimator:
         """Discard old bounds. This happens only when newer ones arrive, so that some are left after a silence."""
         for bounds in (self._lower, self._upper):
             bounds.drop(self._newest.m_us - WINDOW_US)
-
-
-class _Suspects:
-    """Stamps and receipts in a row that suggest a step of the clock."""
-
-    def __init__(self) -> None:
-        self.contradictions: tuple[_Bound, ...] = ()
-        self.late: tuple[_Bound, ...] = ()
-        self.receipts: dict[int, _Bound] = {}  # by the time at which the plan was sent
-
-    def add_contradiction(self, stamp: _Bound, variation_ns: int) -> bool:
-        """Add an impossible stamp. Return True if the last three agree with each other."""
-        self.contradictions = (*self.contradictions[1 - STEP_DETECTED_AT :], stamp)
-        return len(self.contradictions) == STEP_DETECTED_AT and _agree(self.contradictions, variation_ns)
-
-    def add_late(self, stamp: _Bound, variation_ns: int) -> bool:
-        """Add a late stamp. Return True if those of the last second are late by the same amount."""
-        self.contradictions = ()
-        late = (*self.late, stamp)
-        while len(late) > STEP_DETECTED_AT and stamp.m_us - late[1].m_us >= LATE_US:
-            late = late[1:]
-        self.late = late
-        return len(late) >= STEP_DETECTED_AT and stamp.m_us - late[0].m_us >= LATE_US and _agree(late, variation_ns)
-
-    def add_receipt(self, receipt: _Bound) -> bool:
-        """Add an impossible receipt. Return True if those of the last three plans were impossible."""
-        self.receipts[receipt.m_us] = receipt
-        return len(self.receipts) >= STEP_DETECTED_AT
-
-    def clear_stamps(self) -> None:
-        """Note a stamp that fits the bounds."""
-        self.contradictions = self.late = ()
-
-    def clear_receipts(self, received_ns: int, stamp_ns: int) -> None:
-        """Note a receipt that fits the bounds. If it is newer than the first late stamp, their link is slow.
-
-        A receipt from before a step back is later than ``stamp_ns``, the stamp of the message that reports it.
-        """
-        self.receipts.clear()
-        if self.late and self.late[0].t_ns <= received_ns <= stamp_ns:
-            self.late = ()
-
-
-def _agree(bounds: tuple[_Bound, ...], within_ns: int) -> bool:
-    return max(bounds).ns - min(bounds).ns <= within_ns
 
 
 def drift_ns(age_us: int) -> int:

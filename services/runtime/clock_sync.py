@@ -79,7 +79,7 @@ class ClockSync:
         """Return mode, offset and error bound of the clock that the process follows."""
         if not self.active or self._reference is None:
             return SHARED_CLOCK
-        return self._publishers[self._reference].read(now_us) or SHARED_CLOCK
+        return self._publishers[self._reference].read(now_us)
 
     def shift_ns(self, epoch: int, m_us: int) -> int:
         """Return vehicle time minus the time of the publisher ``epoch``; 0 while either is unknown.
@@ -206,8 +206,7 @@ class ClockSync:
     def _theta_ns(self, epoch: int, m_us: int) -> int:
         """Return the offset of the clock of a publisher, which is clock r unless its stamps cannot come from that."""
         followed = epoch if self._reference is None or self._has_own_clock(epoch, m_us) else self._reference
-        reading = self._publishers[followed].read(m_us)
-        return 0 if reading is None else reading.offset_ns
+        return self._publishers[followed].read(m_us).offset_ns
 
     def _has_own_clock(self, epoch: int, m_us: int) -> bool:
         """Return True if the stamps of a publisher cannot come from the clock that vehicle time follows."""

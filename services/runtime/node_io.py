@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
-from ltv_mpc.messages import InboxEntry, Message, NodeSettings, RecordedStep, StepRecord
+from ltv_mpc.messages import InboxEntry, Message, RecordedStep, StepRecord
 from ltv_mpc.node import ReceivedMessage
 from services.bus.outbox import Outbox, SentMessage
 from services.bus.time_shift import shifted
@@ -16,8 +16,6 @@ from services.runtime.lifeline import LIFELINE
 
 MAX_RECORDED_STEPS = 1000
 """Largest number of steps in a record: a frame has a largest size."""
-
-SETTINGS_PERIOD_US = BY_TYPE[NodeSettings].period_ns // 1000
 
 STATE_TYPES = tuple(STATES.values())
 
@@ -48,9 +46,7 @@ class NodeIO:
     the steps since the last one first. The step loop also publishes it with each node status, within half a second.
     """
 
-    def __init__(
-        self, node: str, outbox: Outbox, saved: SavedState | None = None, settings: NodeSettings | None = None
-    ) -> None:
+    def __init__(self, node: str, outbox: Outbox, saved: SavedState | None = None) -> None:
         """Begin with an empty inbox; ``saved`` keeps the node's states and may have one that it continues from.
 
         Without it the supervisor, which receives the states from the bus, may have given one.
@@ -58,9 +54,6 @@ class NodeIO:
         self._node = node
         self._outbox = outbox
         self._saved = saved
-        self._settings = settings
-        self.settings_due_us = None if settings is None else 0
-        """Monotonic time at which the settings are published next; None if there are none."""
         self._inbox: list[tuple[ReceivedMessage, InboxEntry]] = []
         self._steps: list[RecordedStep] = []  # without a record so far
         self._recorded = 0  # steps with a record
@@ -70,12 +63,6 @@ class NodeIO:
     def publish(self, message: Message) -> SentMessage:
         """Publish a message of the node or of its process; a state is kept first."""
         return self._outbox.publish(self._published(message))
-
-    def publish_settings(self, now_us: int) -> None:
-        """Publish the settings, for recorders."""
-        assert self._settings is not None
-        self.settings_due_us = now_us + SETTINGS_PERIOD_US
-        self.publish(self._settings)
 
     def publish_outputs(self, messages: Sequence[Message]) -> list[SentMessage]:
         """Publish the record of the steps without one, then the outputs of these steps. Return the sent outputs."""

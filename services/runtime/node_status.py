@@ -57,16 +57,16 @@ class WaitingFor:
         clock: VehicleClock,
         inputs: Iterable[type[Message]],
         *,
-        clock_source: str = CLOCK_MESSAGE,
+        from_inputs: bool = False,
         node_waits: Callable[[], str] | None = None,
     ) -> None:
-        """``clock_source`` names what the process waits for while it has no time.
+        """``from_inputs``: without an announced clock the time is that of the inputs.
 
         ``node_waits`` is the node's own account of what it needs. Without it, the process waits for each of ``inputs``
         that has never arrived; those of an operator and the optional ones are not waited for.
         """
         self.clock = clock
-        self._clock_source = clock_source
+        self._clock_source = CLOCK_OR_ESTIMATE if from_inputs else CLOCK_MESSAGE
         self._node_waits = node_waits
         self._missing = dict.fromkeys(
             kind for kind in inputs if BY_TYPE[kind].written_by != OPERATOR and kind not in OPTIONAL

@@ -3,7 +3,7 @@
 Losses are found in two ways: by gaps in the sequence numbers of each key and source, and at the end by the number of
 published messages that each process gives in its last status.
 
-Beside a vehicle, messages wait until the vehicle time is known (``publication_time.py``). In a simulation those that
+Beside a vehicle, messages wait until the vehicle time is known (``PublicationTime``). In a simulation those that
 come before the clock have the time of the start.
 """
 
@@ -13,7 +13,7 @@ import contextlib
 import time
 from typing import Any
 
-from ltv_mpc.messages import Clock, NodeStatus, RejectedFrame, RunEvent, StepRecord
+from ltv_mpc.messages import Clock, ClockState, Estimate, Message, NodeStatus, RejectedFrame, RunEvent, StepRecord
 from services.bus.mailbox import Frame, Mailbox
 from services.bus.message_validation import rejection
 from services.bus.options import BusOptions
@@ -21,17 +21,16 @@ from services.bus.outbox import Outbox, new_epoch
 from services.bus.rate_limit import RateLimit
 from services.bus.roles import HISTORY
 from services.bus.session import Reply, open_session
-from services.bus.topics import key_of
+from services.bus.topics import BY_TYPE, key_of
 from services.bus.wire import Header, WireError, crc, from_map, header_of, unpack
 from services.recording.acceptance import NODES, Acceptance
 from services.recording.history import read_query
 from services.recording.segments import SegmentWriter
-from services.runtime.clock import monotonic_us
-from services.runtime.clock_sync import STAMPED_INPUTS
+from services.runtime.clock import ClockError, ClockSegment, VehicleClock, monotonic_us
+from services.runtime.clock_sync import STAMPED_INPUTS, ClockSync
 from services.runtime.console import counted
 from services.runtime.lifeline import LIFELINE
 from services.runtime.node_status import NodeStatusReporter, WaitingFor
-from services.runtime.publication_time import PublicationTime
 from services.runtime.stopping import Say, StopRequest
 
 NAME = "recorder"
@@ -46,7 +45,63 @@ MAX_WAITING = 20_000
 """Messages that wait for the vehicle time; with more, the host's clock is followed."""
 
 
+FOLLOWS_VEHICLE = f"no clock is announced: following the vehicle's own clock, by the stamps on {BY_TYPE[Estimate].key}"
+FOLLOWS_HOST = "neither a clock nor a stamped message: times are those of this host's clock (UTC)"
 BEGAN_BEFORE = "{} began before this recorder: `ltv-mpc replay` can repeat it from its next start on"
+
+
+class PublicationTime:
+    """Vehicle time at which recorded messages were published, from the messages received so far.
+
+    a clock is announced     that clock
+    no clock                 the vehicle's own clock, by the stamps of estimates and actuators (``clock_sync.py``)
+    neither                  in a simulation its start; otherwise unknown, until the host's clock is taken instead
+
+    ``start_ns``: vehicle time of the start of a simulation; None beside a vehicle.
+    """
+
+    def __init__(self, *, start_ns: int | None, say: Say) -> None:
+        self.clock = VehicleClock()
+        self._start_ns = start_ns
+        self._sync = ClockSync(self.clock, epoch=0)  # a recorder publishes no plans
+        self._say = say
+
+    @property
+    def known(self) -> bool:
+        """True once messages can be dated."""
+        return self._start_ns is not None or self.clock.newest is not None
+
+    def add(self, message: Message, epoch: int, received_us: int) -> None:
+        """Add an announced clock, or a message with a stamp of the publisher ``epoch``.
+
+        Once the vehicle's own clock is followed, a clock that is announced later is ignored: times have one origin.
+        """
+        was_active = self._sync.active
+        try:
+            self._sync.take(message, epoch, received_us)
+        except ClockError as error:  # the messages of any clock master are recorded
+            self._say(str(error))
+        if self._sync.active and not was_active:
+            self._say(FOLLOWS_VEHICLE)
+
+    def at(self, sent_us: int, received_us: int) -> int | None:
+        """Return the vehicle time (ns) of a message's publication; None while it is unknown.
+
+        A clock is announced to the processes of one host, so the monotonic time ``sent_us`` counts. No message is sent
+        after its arrival, whatever it says. Beside a vehicle the sender may be on another host, so the arrival counts.
+        """
+        newest = self.clock.newest
+        if newest is None:
+            return self._start_ns
+        if not self._sync.active:
+            return self.clock.at(min(sent_us, received_us))
+        return newest.vehicle_ns + (received_us - newest.at_us) * 1000  # also before the newest stamp
+
+    def follow_host(self) -> None:
+        """Take the host's clock for that of the vehicle."""
+        self._say(FOLLOWS_HOST)
+        began_ns = time.time_ns() - monotonic_us() * 1000  # at monotonic time 0, so that it dates earlier messages too
+        self.clock.set_segment(ClockSegment(0, began_ns, 1, 1, ClockState.RUNNING))
 
 
 class RecordingLoop:
@@ -59,12 +114,13 @@ class RecordingLoop:
     def __init__(self, writer: SegmentWriter, *, start_ns: int | None, say: Say) -> None:
         self._writer = writer
         self._say = say
+        self._beside_vehicle = start_ns is None
         self.mailbox = Mailbox()
         self._time = PublicationTime(start_ns=start_ns, say=say)
         self._waiting: list[tuple[Frame, dict[str, Any], Header]] = []  # unpacked
         self._unknown_keys = RateLimit()
         # In a simulation only a restarted recorder begins after the others.
-        self._acceptance = Acceptance(late=writer.resumes or self._time.beside_vehicle)
+        self._acceptance = Acceptance(late=writer.resumes or self._beside_vehicle)
         self._losses = self._acceptance.losses
         self.received = 0
         self.rejected = 0
@@ -86,7 +142,7 @@ class RecordingLoop:
                 outbox=self._out,
                 counts=self,
                 mailbox=self.mailbox,
-                waiting=WaitingFor(self._time.clock, (), clock_source=self._time.clock_source),
+                waiting=WaitingFor(self._time.clock, (), from_inputs=self._beside_vehicle),
                 say=self._say,
             )
             session.subscribe("**", None, self.mailbox)

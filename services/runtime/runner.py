@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import gc
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from ltv_mpc.messages import (
@@ -50,7 +51,7 @@ from services.runtime.console import Console
 from services.runtime.input_receiver import InputReceiver
 from services.runtime.lifeline import LIFELINE
 from services.runtime.node_io import NodeIO, SavedState
-from services.runtime.node_status import CLOCK_MESSAGE, CLOCK_OR_ESTIMATE, NodeStatusReporter, WaitingFor
+from services.runtime.node_status import NodeStatusReporter, WaitingFor
 from services.runtime.process_time import ClockOptions, ProcessTime
 from services.runtime.serve import run_until_stopped
 from services.runtime.stage_timer import StageTimer
@@ -65,6 +66,8 @@ DELIVERED_BY_PROCESS: tuple[type[Message], ...] = (RejectedFrame, Clock)
 CLOCK_MASTER_INPUTS: tuple[type[Message], ...] = (NodeStatus, ClockCommand)
 """Types that the clock master's process reads for its clock."""
 
+
+SETTINGS_PERIOD_US = BY_TYPE[NodeSettings].period_ns // 1000
 
 MAX_DRAIN_US = 20_000
 """Longest time that taking inputs may delay a due step, so that a message flood cannot starve the controller."""
@@ -115,6 +118,7 @@ class Runner:
         self._compute_delay_ns = compute_delay_ns
         self._stopwatch = stages or StageTimer()
         self._report, self._settings = report, settings
+        self._settings_due_us = 0
         self._time = ProcessTime(node, clock, epoch=new_epoch(), publish=lambda message: self._io.publish(message))
         self._navigated = node if isinstance(node, NavigatedNode) else None
         self._source: Source | None = None  # of the estimates in use
@@ -185,7 +189,7 @@ class Runner:
         waiting = WaitingFor(
             time.clock,
             inputs,
-            clock_source=CLOCK_OR_ESTIMATE if time.syncs else CLOCK_MESSAGE,
+            from_inputs=time.syncs,
             node_waits=(lambda: node.waiting_for) if isinstance(node, WaitingNode) else None,
         )
         self._status = NodeStatusReporter(
@@ -195,7 +199,7 @@ class Runner:
             topic = BY_TYPE[kind]  # one mailbox for all, so that arrivals have one order
             session.subscribe(expression(topic), None if kind in NAMED else topic, self.mailbox)
         time.start_schedule()
-        self._io = NodeIO(node.name, outbox, saved, self._settings)
+        self._io = NodeIO(node.name, outbox, saved)
         self._receiver = InputReceiver(node, self._io, time, self._status, self._report, validator)
         self._add_duties(validator)
 
@@ -216,8 +220,8 @@ class Runner:
         self._duties.append((lambda: LIFELINE.due_us, LIFELINE.beat))
         if master is not None:
             self._duties.append((lambda: master.due_us, master.run_due))
-        # Settings come before the first status and the first step.
-        self._duties.append((lambda: self._io.settings_due_us, self._io.publish_settings))
+        if self._settings is not None:  # they come before the first status and the first step
+            self._duties.append((lambda: self._settings_due_us, partial(self._publish_settings, self._settings)))
         self._duties.append((lambda: self._status.due_us, self._publish_status))
         if report is not None:
 
@@ -288,8 +292,8 @@ class Runner:
         """Take a step that was due at the monotonic time ``due_us``; publish its outputs after its record."""
         status, report = self._status, self._report
         self._stopwatch.start()
-        if status.steps == 0 and self._settings is not None:
-            self._io.settings_due_us = 0  # a recorder that receives the first step can replay the node
+        if status.steps == 0:
+            self._settings_due_us = 0  # a recorder that receives the first step can replay the node
         if self._navigated is not None:
             self._follow_source(self._navigated.active_source, t_ns)
         self._io.shift_ns = self._time.sync.published_shift_ns
@@ -353,6 +357,11 @@ class Runner:
         self._io.publish_to_self(timing, now_ns)
 
     # --- reporting ---------------------------------------------------------------------------------------------------
+
+    def _publish_settings(self, settings: NodeSettings, now_us: int) -> None:
+        """Publish the settings, for recorders."""
+        self._settings_due_us = now_us + SETTINGS_PERIOD_US
+        self._io.publish(settings)
 
     def _publish_status(self, now_us: int) -> None:
         """Publish the record of the last steps, then the status of the process."""

@@ -6,10 +6,12 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from ltv_mpc.messages import Message, PressureDepth
 from services.bus.wire import Header
+from services.recording.reader import Recording
 from services.recording.writer import RunWriter
 
 START_NS = -1_000_000_000
@@ -52,3 +54,24 @@ def write_depths(path: Path, sequences: Iterable[int], *, epoch: int = 1, start_
     """Write one key; ``depth(i)`` has the sequence number ``i``."""
     messages = (("sensors", depth(i), epoch, i, depth(i).t_ns) for i in sequences)
     return write(path, messages, start_ns=start_ns, seed="7")
+
+
+def sequences(path: Path) -> list[int]:
+    """Return the sequence numbers in a file, in its order."""
+    return [message.plain["sequence"] for message in Recording(path)]
+
+
+def chunks(path: Path) -> list[tuple[int, int, int]]:
+    """Return offset, length and number of messages of each chunk, from mcap's own index."""
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    logged = [message.t_ns - START_NS for message in Recording(path)]
+    return [
+        (
+            index.chunk_start_offset,
+            index.chunk_length,
+            sum(index.message_start_time <= at <= index.message_end_time for at in logged),
+        )
+        for index in summary.chunk_indexes
+    ]

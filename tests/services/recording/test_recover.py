@@ -20,19 +20,11 @@ from services.recording import recover
 from services.recording.reader import Recording
 from services.recording.records import LARGE_BYTES, MAGIC, Records
 from services.recording.recover import Recovery, recovered_path, segments
-from tests.services.recording.recordings import START_NS, depth, write_depths
+from tests.services.recording.recordings import START_NS, chunks, depth, write_depths
 
 
 def messages(path: Path) -> list[tuple[str, int, bytes]]:
     return [(line.key, line.t_ns, line.data) for line in Recording(path, past_losses=True).stored()]
-
-
-def chunks(path: Path) -> list[tuple[int, int]]:
-    """Return offset and length of each chunk, from mcap's own index."""
-    with path.open("rb") as file:
-        summary = make_reader(file).get_summary()
-    assert summary is not None
-    return [(index.chunk_start_offset, index.chunk_length) for index in summary.chunk_indexes]
 
 
 @pytest.fixture(scope="module")
@@ -45,20 +37,11 @@ def recovered(path: Path) -> Recovery:
     return recover.recover(segments(path), recovered_path(path))
 
 
-def messages_per_chunk(path: Path) -> list[int]:
-    with path.open("rb") as file:
-        summary = make_reader(file).get_summary()
-    assert summary is not None
-    times = [(index.message_start_time, index.message_end_time) for index in summary.chunk_indexes]
-    logged = [(t_ns - START_NS) for _, t_ns, _ in messages(path)]
-    return [sum(first <= t <= last for t in logged) for first, last in times]
-
-
 def test_all_chunks_before_a_cut_are_recovered_into_a_complete_file(whole: Path, tmp_path: Path) -> None:
     data, complete = whole.read_bytes(), messages(whole)
     path = tmp_path / "run.mcap"
     expected = 0
-    for (offset, length), count in zip(chunks(whole), messages_per_chunk(whole), strict=True):
+    for offset, length, count in chunks(whole):
         for end, lost in ((offset + length - 1, length - 1), (offset + length, 0)):
             path.write_bytes(data[:end])
             expected += 0 if lost else count
@@ -76,7 +59,7 @@ def test_all_chunks_before_a_cut_are_recovered_into_a_complete_file(whole: Path,
 
 def damaged(whole: Path, path: Path, number: int) -> tuple[Path, int, int]:
     """Damage a chunk of a copy. Return the copy, offset and length of the chunk."""
-    offset, length = chunks(whole)[number]
+    offset, length, _ = chunks(whole)[number]
     data = bytearray(whole.read_bytes())
     data[offset + length // 2] ^= 0x10
     path.write_bytes(data)
@@ -86,7 +69,7 @@ def damaged(whole: Path, path: Path, number: int) -> tuple[Path, int, int]:
 def test_a_damaged_chunk_costs_itself_alone(whole: Path, tmp_path: Path) -> None:
     path, offset, length = damaged(whole, tmp_path / "run.mcap", 2)
     made = recovered(path)
-    lost = messages_per_chunk(whole)[2]
+    lost = chunks(whole)[2][-1]
     assert made.messages == 3000 - lost
     (loss,) = made.segments[0].losses
     assert (loss.offset, loss.length) == (offset, length)
@@ -97,7 +80,7 @@ def test_a_damaged_chunk_costs_itself_alone(whole: Path, tmp_path: Path) -> None
 def test_messages_whose_channel_is_lost_are_left_out_and_counted(whole: Path, tmp_path: Path) -> None:
     records = Records(damaged(whole, tmp_path / "run.mcap", 0)[0])
     assert not [record for record in records if type(record).__name__ == "Message"]
-    assert records.orphans == 3000 - messages_per_chunk(whole)[0]
+    assert records.orphans == 3000 - chunks(whole)[0][-1]
     assert not records.whole
 
 

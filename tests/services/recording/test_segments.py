@@ -14,8 +14,8 @@ import pytest
 from ltv_mpc.messages import PressureDepth
 from services.bus import wire
 from services.recording import recover, segments
-from services.recording.reader import Recording
 from services.recording.segments import SegmentWriter
+from tests.services.recording.recordings import sequences
 
 KEY = "sensor/depth"
 
@@ -24,10 +24,6 @@ def put(writer: SegmentWriter, sequence: int) -> None:
     header = wire.Header(epoch=7, sequence=sequence, sent_monotonic_us=0)
     message = wire.to_map(PressureDepth(t_ns=sequence, depth_m=1.0), header)
     writer.write_plain(KEY, PressureDepth, message, sequence, wire.crc(wire.pack(message)))
-
-
-def sequences(path: Path) -> list[int]:
-    return [message.plain["sequence"] for message in Recording(path)]
 
 
 def fill_up(writer: SegmentWriter) -> None:

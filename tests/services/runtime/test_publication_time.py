@@ -9,7 +9,7 @@ import pytest
 
 from ltv_mpc.messages import Estimate
 from services.runtime.clock import monotonic_us
-from services.runtime.publication_time import FOLLOWS_HOST, FOLLOWS_VEHICLE, PublicationTime
+from services.runtime.recording_loop import FOLLOWS_HOST, FOLLOWS_VEHICLE, PublicationTime
 from tests.services.words import running_clock
 
 S_US, S_NS = 1_000_000, 1_000_000_000

@@ -36,8 +36,7 @@ from services.recording.writer import RunWriter
 from services.runtime import recording_loop
 from services.runtime.clock import monotonic_us
 from services.runtime.lifeline import Lifeline
-from services.runtime.publication_time import FOLLOWS_HOST
-from services.runtime.recording_loop import BEGAN_BEFORE, RecordingLoop
+from services.runtime.recording_loop import BEGAN_BEFORE, FOLLOWS_HOST, RecordingLoop
 from services.runtime.stopping import StopRequest
 from tests.services.words import running_clock, status
 from tests.waiting import until
