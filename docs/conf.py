@@ -11,7 +11,7 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE / "extensions"), str(HERE.parent)]
 
-from services.run.version import version as installed_version  # noqa: E402  (from this checkout)
+from services.run.provenance import version as installed_version  # noqa: E402  (from this checkout)
 
 project = "ltv-mpc"
 copyright = "the authors of ltv-mpc"

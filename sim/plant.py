@@ -11,6 +11,22 @@ an error of order h^2 of what it adds). Without them every step is bit for bit t
 
 The slew limit holds for the commands. The delivered thrust has a rate of change of its own: a propeller with a lag in
 revolutions, a dead zone or another lag than the file's may change its thrust faster than the commands change.
+
+On its path to the propellers' governors a command meets dead time, quantisation and dead zone:
+
+    y_q(t) = q round(y(t - dead time) / q),  0 where |y_q| < dead zone
+
+A motor driver rounds its pulse width to steps, and does not start its motor below a least one: the motor stands still,
+then jumps to its least speed. Gate and report of the actuators know the command y alone. The path of each thruster is
+the same.
+
+The wind is a steady force on the vehicle in the earth frame, with gusts along it:
+
+    f(t) = [cos direction, sin direction] (force + gust sqrt(2 / K) sum_k sin(2 pi f_k t + p_k))
+
+The K frequencies f_k (Hz) lie at equal ratios over two decades about 1 / period, each with the same share of the mean
+square, and the phases p_k are uniform: f S(f) is flat, as in the middle of the spectra of gusts (Fossen 2021, section
+10.1). It is a pure function of seed and time. No wind acts below the surface, and none turns the vehicle.
 """
 
 from __future__ import annotations
@@ -23,18 +39,18 @@ import numpy as np
 
 from ltv_mpc.frames import wrap_angle
 from ltv_mpc.jit import copy_to, jit
-from ltv_mpc.messages import Action, Applied, Array, Command, Disturbance, Message, Plan, Times, Triple, Truth
+from ltv_mpc.messages import Action, Applied, Array, Command, Disturbance, Message, Pair, Plan, Times, Triple, Truth
 from ltv_mpc.node import Grid, Inbox, ReceivedMessage
 from ltv_mpc.safety.plan_gate import PlanGate, PlanVerdict
 from ltv_mpc.vehicle.parameters import Vehicle
 from sim import motion
-from sim.actuators import CommandPath
 from sim.attitude import Attitude, TiltWaves, roll_and_pitch
 from sim.motion import MotionState
-from sim.scenario import Scenario
+from sim.random_streams import Stream, generator
+from sim.scenario import SURFACED_M, Actuators, Scenario
+from sim.scenario import Wind as Settings
 from sim.water import WaterColumn
 from sim.water.column import SAMPLE_PERIOD_NS, WaterSample, WaterWindow, velocity_at
-from sim.wind import Wind
 
 PERIOD_NS = 50_000_000
 """Time between two steps of the node, because a wake-up costs more than a step of the simulation."""
@@ -286,3 +302,56 @@ def observe(out: Array, vehicle: MotionState, factors: Triple, t: float, tilt: T
 def _triple(a: Array) -> Triple:
     x, y, z = a.tolist()
     return x, y, z
+
+
+class CommandPath:
+    """Commands on their way to the propellers."""
+
+    def __init__(self, settings: Actuators) -> None:
+        self._settings = settings
+        self._dead_ns = round(settings.dead_time_s * 1e9)
+        self._t_ns, self._sent = np.empty(0), np.zeros((1, 3))  # what is still needed of the commands
+
+    def followed(self, t_ns: Sequence[int], commands: Array) -> Array:
+        """Return what the governors follow at t_ns[1:], (K, 3) in N.
+
+        Parameters
+        ----------
+        t_ns : (K+1,) vehicle time (ns); the first is the last one of the call before.
+        commands : (K, 3) commands (N) at t_ns[1:], linear between them.
+        """
+        if self._settings == Actuators():
+            return commands
+        out = commands
+        if self._dead_ns:
+            self._t_ns = np.append(self._t_ns if len(self._t_ns) else t_ns[0], t_ns[1:]).astype(np.float64)
+            self._sent = np.vstack([self._sent, commands])
+            at = np.array(t_ns[1:], dtype=np.float64) - self._dead_ns
+            out = np.column_stack([np.interp(at, self._t_ns, sent) for sent in self._sent.T])
+            gone = max(int(np.searchsorted(self._t_ns, at[-1])) - 1, 0)
+            self._t_ns, self._sent = self._t_ns[gone:], self._sent[gone:]
+        if quantum := self._settings.quantum_N:
+            out = quantum * np.round(out / quantum)
+        return np.where(np.abs(out) < self._settings.dead_zone_N, 0.0, out)
+
+
+SINES = 16
+
+
+class Wind:
+    """Force of the wind in one run, from the settings' table [plant.wind]."""
+
+    def __init__(self, settings: Settings, seed: int) -> None:
+        """Take the settings and draw the phases of the gusts."""
+        self.blows = max(settings.force_N, settings.gust_N) > 0.0
+        self._settings = settings
+        self._rates = 2.0 * math.pi / settings.gust_period_s * np.geomspace(0.1, 10.0, SINES)
+        self._phases = generator(seed, Stream.WIND).uniform(0.0, 2.0 * math.pi, SINES)
+
+    def force_N(self, t_ns: int, depth_m: float) -> Pair:
+        """Return the force north and east at a time and a depth."""
+        if not self.blows or depth_m >= SURFACED_M:
+            return 0.0, 0.0
+        gust = math.sqrt(2.0 / SINES) * float(np.sin(self._rates * (t_ns * 1e-9) + self._phases).sum())
+        force = self._settings.force_N + self._settings.gust_N * gust
+        return force * math.cos(self._settings.direction_rad), force * math.sin(self._settings.direction_rad)

@@ -24,10 +24,10 @@ from benchmarks.strangers.rigid_body import Hull, Plant
 from ltv_mpc import Controller, ControllerConfig, Estimate, Vehicle
 from ltv_mpc.messages import Applied, Array, Health, Pair
 from ltv_mpc.references import Reference
-from sim.actuators import CommandPath
+from sim.plant import CommandPath
+from sim.plant import Wind as WindForce
 from sim.scenario import Actuators, Mismatch, Water, Wind
 from sim.water import make
-from sim.wind import Wind as WindForce
 
 HERE = Path(__file__).parent
 AS_IN_FILE, DIRECT, STILL, CALM = Mismatch(), Actuators(), Water(sd_mps=0.0), Wind()

@@ -28,12 +28,12 @@ from ltv_mpc.bathymetry import Bathymetry
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.delay import Delay
 from ltv_mpc.control.disturbance import DisturbanceObserver
+from ltv_mpc.control.estimate_selector import EstimateSelector
 from ltv_mpc.control.fallback import NOT_RUN, LateralPlan, ramp_to_rest
 from ltv_mpc.control.lateral import MAX_WHY_CHARS, LateralPlanner
-from ltv_mpc.control.mode import Decision, EstimateSelector, Mode, decide
+from ltv_mpc.control.mode import Decision, Mode, decide
 from ltv_mpc.control.ocp.extension import Limit, Term
-from ltv_mpc.control.prediction import Prediction, Start
-from ltv_mpc.control.prediction_uncertainty import growth_m
+from ltv_mpc.control.prediction import Prediction, Start, growth_m
 from ltv_mpc.control.problem_data import Constants
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.sent_commands import SentCommands
@@ -458,7 +458,8 @@ class Controller:
             )
         own = self._estimates.health(now_ns)
         if estimate is not None and own.health is Health.DEGRADED:
-            growth = growth_m(self._prediction, estimate, now_ns, self.sent_commands, self.observer)
+            bias = self.observer.covariance_of_mean((now_ns - estimate.t_ns) * 1e-9)
+            growth = growth_m(self._prediction, estimate, now_ns, self.sent_commands, bias)
             self._estimates.limit_growth(growth)
             own = self._estimates.health(now_ns)
         decision = decide(

@@ -13,8 +13,7 @@ from ltv_mpc.array_encoding import from_wire, to_wire
 from ltv_mpc.config import read_bytes
 from ltv_mpc.control.ocp import limits
 from ltv_mpc.control.ocp.problem import Problem
-from ltv_mpc.control.qp import QP
-from ltv_mpc.control.solvers.sparse import DYNAMICS, EXCESS, LOWER, UPPER, SparseLayout
+from ltv_mpc.control.solvers.sparse import DYNAMICS, EXCESS, LOWER, QP, UPPER, SparseLayout
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Array, Solve
 

@@ -24,17 +24,10 @@ from typing import NamedTuple
 
 import msgspec
 
-from ltv_mpc.control.config import ControllerConfig
-from ltv_mpc.control.position_filter import PositionFilter
 from ltv_mpc.messages import Estimate, Health
 from ltv_mpc.references.follower import Follower
-from ltv_mpc.safety.actuator_check import ActuatorCheck
 from ltv_mpc.safety.command_arbiter import ThrustOverride
-from ltv_mpc.safety.estimate_gate import EstimateGate
-from ltv_mpc.safety.health import PREDICTED_TOO_FAR, HealthState, health, worst
-from ltv_mpc.safety.motion_fit import MotionFit
-from ltv_mpc.safety.vehicle_file_check import VehicleFileCheck
-from ltv_mpc.vehicle.parameters import Vehicle
+from ltv_mpc.safety.health import HealthState, worst
 
 NOT_STARTED = "the reference has not started yet"
 LATERAL_OFF = "lateral control is off"
@@ -78,79 +71,6 @@ class Decision(NamedTuple):
         return self._replace(
             why=self.why or NO_DEPTH, health=worst(self.health, HealthState(Health.DEGRADED, NO_DEPTH))
         )
-
-
-class EstimateSelector:
-    """Selection of the newest plausible estimate, and the health that follows from its age."""
-
-    def __init__(self, vehicle: Vehicle, config: ControllerConfig) -> None:
-        """Start without an estimate.
-
-        Parameters
-        ----------
-        vehicle : bounds of its motion decide what is plausible.
-        config : the ages at which health degrades are used.
-        """
-        self.gate = EstimateGate(vehicle)
-        """Plausibility check, with the count of rejected estimates."""
-        self.vehicle_file_check = VehicleFileCheck()
-        """Check of the vehicle file against what the motion shows."""
-        self.motion_fit = MotionFit(vehicle)
-        """Vehicle, sea and stamps that explain the motion."""
-        self.actuator_check = ActuatorCheck(vehicle, config.period_ns)
-        """Check of the actuators' reports: whether the motion of the estimates comes from the plans."""
-        self._vehicle, self._positions, self._ages = vehicle, PositionFilter(), config.ages
-        self._without = health(age_ns=None, period_ns=0)  # health before the first plausible estimate
-        self._uncertain: Estimate | None = None  # the last one from which the prediction grew too uncertain
-        self.growth_m = 0.0
-        """Growth of the standard deviation of the predicted position since the estimate, if that is late (m)."""
-
-    def select(self, newest: Estimate) -> Estimate | None:
-        """Return the newest plausible estimate, with its position filtered if it is noisy; None before the first.
-
-        Parameters
-        ----------
-        newest : estimate that was received last.
-        """
-        reason = self.gate.check(newest)
-        estimate, self.growth_m = self.gate.accepted, 0.0
-        if estimate is None:
-            self._without = HealthState(Health.FAILSAFE, f"no valid estimate: {reason}")
-            return None
-        return self._positions.update(estimate)
-
-    def restart(self) -> None:
-        """Begin with another source of estimates."""
-        self.gate.restart()
-        self._positions = PositionFilter()
-        self.vehicle_file_check, self.motion_fit = VehicleFileCheck(), MotionFit(self._vehicle)
-
-    def health(self, t_ns: int) -> HealthState:
-        """Return the health by the age of the newest plausible estimate, and by ``limit_growth``.
-
-        Parameters
-        ----------
-        t_ns : now, vehicle time (ns).
-        """
-        estimate = self.gate.accepted
-        if estimate is None:
-            return self._without
-        age_ns = t_ns - estimate.t_ns
-        state = health(age_ns=age_ns, period_ns=self.gate.age.median_ns, ages=self._ages)
-        if estimate is self._uncertain and state.health is Health.DEGRADED:
-            return HealthState(Health.HOLD, PREDICTED_TOO_FAR)
-        return state
-
-    def limit_growth(self, growth_m: float) -> None:
-        """Hold until the next plausible estimate if the prediction from the newest one is too uncertain.
-
-        Parameters
-        ----------
-        growth_m : growth of the standard deviation of the predicted position (m); NaN is too uncertain.
-        """
-        self.growth_m = growth_m if growth_m > 0.0 else 0.0  # not a number: the vehicle holds
-        if not growth_m <= self._ages.hold_growth_m:
-            self._uncertain = self.gate.accepted
 
 
 def decide(

@@ -4,6 +4,23 @@ An estimate is valid at its own time; the plan that is computed from it takes ef
 were sent before act, through the thrusters' lag. The delivered thrust follows the lag model through these commands:
 from the last report of the actuators that is not newer than the estimate, and without reports from rest before the
 first plan. Without newer estimates the prediction grows longer: ``mode.py`` says how long it is used.
+
+The same flow is a nominal vehicle (``advance``): it moves exactly as the controller's model says.
+
+The uncertainty of a prediction that no newer estimate corrects grows (``growth_m``):
+
+    P(t) = A P0 A' + B Pb B' + sum over both lateral thrusters of d d',    growth = sd(t) - sd(0),
+    sd = sqrt(P_nn + P_ee)
+
+P0   covariance (6, 6) of the estimate; zero if it has none
+A    derivative (2, 6) of the predicted position by the estimate
+Pb   covariance (2, 2) of the mean current since the estimate: of the estimated bias with its random walk, and of the
+     estimate's profile if it has standard deviations
+B    derivative (2, 2) of the predicted position by the current
+d    change (2,) of the predicted position if a thruster delivers 10 % more
+
+The derivatives are differences of predictions, so this takes eleven predictions. The controller needs them only while
+its estimates are late (``mode.py``).
 """
 
 from __future__ import annotations
@@ -12,11 +29,13 @@ import math
 from collections import deque
 from typing import NamedTuple, TypeAlias
 
+import msgspec
 import numpy as np
 
 from ltv_mpc.control.sent_commands import Commands, SentCommands
+from ltv_mpc.conversion import exact
 from ltv_mpc.jit import copy_to, count_up_to, jit, linear_at
-from ltv_mpc.messages import Applied, Array, CurrentProfile, Estimate, Pair, Triple
+from ltv_mpc.messages import Applied, Array, CurrentProfile, Estimate, Pair, Plan, Triple
 from ltv_mpc.vehicle.dynamics import coefficients
 from ltv_mpc.vehicle.flow import STATES, advance_heave, advance_stage, lag_table, lag_weights
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -285,3 +304,116 @@ def predict_state(vehicle: Array, measured: Measured, until: int, commands: Comm
         out[STATES + j] = linear_at(t, thrust[:, j], until)
     out[11], out[12], out[13], out[14], out[15] = z, w, F3, c0[0], c0[1]
     return out
+
+
+def advance(vehicle: Vehicle, estimate: Estimate, plan: Plan, *, duration_s: float) -> Estimate:
+    """Return the estimate some time later under a plan, by the exact flow of the nominal model.
+
+    Before the plan's start its first thrusts act; after its end they ramp to zero at the slew limit. An ``Estimate``
+    does not hold the delivered thrust: at the beginning every thruster is taken to deliver its command.
+
+    Parameters
+    ----------
+    vehicle : nominal model.
+    estimate : state at the beginning.
+    plan : commands that act.
+    duration_s : time to advance (s).
+    """
+    vehicle, estimate = exact(vehicle), exact(estimate)
+    commands = SentCommands(vehicle)
+    commands.add(plan, before_N=plan.initial_thrust_N)
+    end = Prediction(vehicle).state_at(estimate, estimate.t_ns + round(duration_s * 1e9), commands)
+    return as_estimate(end, estimate)
+
+
+def as_estimate(end: Start, before: Estimate) -> Estimate:
+    """Return a predicted state as an estimate: [n', e'] = R(psi) [u, v] + c.
+
+    Parameters
+    ----------
+    end : predicted state.
+    before : estimate from which it was predicted; current, covariance and the missing depth are taken over.
+    """
+    n, e, u, v, psi, r = (float(x) for x in end.X[:6])
+    has_depth = before.depth_m is not None
+    altitude = before.altitude_m
+    if altitude is not None and before.depth_m is not None:
+        altitude = max(altitude + before.depth_m - end.depth_m, 0.0)  # over a level bottom
+    c = currents_at_depths(before.current, np.array([end.depth_m]))[0]
+    cos, sin = np.cos(psi), np.sin(psi)
+    return msgspec.structs.replace(
+        before,
+        t_ns=end.t_ns,
+        north_m=n,
+        east_m=e,
+        depth_m=end.depth_m if has_depth else None,
+        heading_rad=float(np.arctan2(sin, cos)),
+        yaw_rate_radps=r,
+        velocity_north_mps=float(cos * u - sin * v + c[0]),
+        velocity_east_mps=float(sin * u + cos * v + c[1]),
+        velocity_down_mps=end.sinking_mps if has_depth else None,
+        altitude_m=altitude,
+    )
+
+
+STEP = 1e-3
+"""Step of the differences in m, m/s, rad and rad/s."""
+
+THRUST_SD = 0.1
+"""Standard deviation of the delivered thrust, as a share of it."""
+
+COLUMN_OF = (0, 1, 4, 5, 2, 3)
+"""Place of north, east, velocity north and east, heading, yaw rate in the estimate of ``prediction.Measured``."""
+
+
+def growth_m(
+    prediction: Prediction, estimate: Estimate, t_ns: int, commands: SentCommands, bias_covariance: Array
+) -> float:
+    """Return the growth of the standard deviation of the predicted horizontal position (m).
+
+    Parameters
+    ----------
+    prediction : knows the vehicle and the actuators' reports.
+    estimate : where the prediction begins, with the bias in its current.
+    t_ns : time of the predicted position, vehicle time (ns).
+    commands : commands in force from the estimate's time on.
+    bias_covariance : (2, 2) of the mean since the estimate of the bias of its current (m2/s2).
+    """
+    since_ns, state, report_ns, thrust_N = prediction.measured(estimate, commands)
+    times, commanded_N = prediction.delivered(commands)
+    profile = profile_of(estimate)
+
+    def _position(state: Array = state, current: tuple[float, float] = (0.0, 0.0), gain: Array | float = 1.0) -> Array:
+        return predict_state(
+            prediction.coefficients,
+            (since_ns, state, report_ns, thrust_N * gain),
+            max(t_ns, since_ns),
+            (times, commanded_N * gain),
+            (profile.depth_m, profile.north_mps + current[0], profile.east_mps + current[1]),
+        )[:2]
+
+    at = _position()
+    variance = 0.0
+    for thruster in (0, 1):
+        gain = np.ones(3)
+        gain[thruster] += THRUST_SD
+        d = _position(gain=gain) - at
+        variance += float(d @ d)
+    Pb = _current_variance(profile, estimate.depth_m) * np.eye(2) + bias_covariance
+    if Pb.any():
+        B = np.array([_position(current=(STEP, 0.0)) - at, _position(current=(0.0, STEP)) - at]).T / STEP
+        variance += float(np.trace(B @ Pb @ B.T))
+    P0 = estimate.covariance
+    if P0 is None:
+        return math.sqrt(variance)
+    A = np.array([_position(state + STEP * np.eye(len(state))[column]) - at for column in COLUMN_OF]).T / STEP
+    variance += float(np.trace(A @ P0 @ A.T))
+    return math.sqrt(variance) - math.sqrt(float(P0[0, 0] + P0[1, 1]))
+
+
+def _current_variance(profile: CurrentProfile, depth_m: float | None) -> float:
+    """Return the variance of either component of a profile at a depth (m^2/s^2); 0 if it is not known."""
+    if profile.sd_mps is None:
+        return 0.0
+    sd_mps, _ = current_at_depth(profile.depth_m, profile.sd_mps, profile.sd_mps, depth_m or 0.0)
+    return sd_mps * sd_mps

@@ -1,7 +1,7 @@
 """Health with its reason: thresholds on the age of estimates, actuator reports and plans, in vehicle time.
 
 Controller, by the age of the newest accepted estimate, the period T of the estimates, and the growth of the standard
-deviation of the position predicted from that estimate (``control/prediction_uncertainty.py``):
+deviation of the position predicted from that estimate (``control/prediction.py``):
 
     degraded   age > max(3 T, degraded_s)       control continues from the prediction: origin "solved"
     hold       age > max(4 T, hold_s), or       stop through the water, hold the depth: origin "stop"

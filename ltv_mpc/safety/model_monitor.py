@@ -54,7 +54,7 @@ import numpy as np
 from ltv_mpc.control.disturbance import Belief, velocity_change_variance, velocity_variance
 from ltv_mpc.control.prediction import current_at_depth
 from ltv_mpc.messages import Applied, Array, Estimate, ModelCheck, Pair
-from ltv_mpc.safety.thrust_impulse import ThrustImpulse
+from ltv_mpc.safety.motion_fit import ThrustImpulse
 from ltv_mpc.safety.thrust_loss_detector import Row, ThrustLossDetector
 from ltv_mpc.safety.weak_thruster import WeakThruster, attribute
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle

@@ -66,7 +66,7 @@ for _panel, _commands in PANELS.items():
 def _about(context: typer.Context, version: Annotated[bool, flag("--version", VERSION)] = False) -> None:
     """Model predictive control of an underactuated AUV in an estimated water current, over Zenoh."""
     if version:
-        from services.run.version import version as ours
+        from services.run.provenance import version as ours
 
         typer.echo(f"ltv-mpc {ours()}")
         raise typer.Exit

@@ -9,7 +9,7 @@ from msgspec.structs import asdict
 from numpy.typing import NDArray
 
 from ltv_mpc.control.failed_qp import NamedQp, worst_violation
-from ltv_mpc.control.qp import Solution, residuals
+from ltv_mpc.control.solvers.sparse import Solution, residuals
 
 
 def figures(failed: NamedQp, solver: str, solution: Solution) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """Failure handling: finds dead and hung processes, restarts them, and watches until each works again.
 
 dead      it has an exit code                                             (``managed_process.py``)
-hung      no heartbeat for the hang timeout: it is killed                 (``hang_detector.py``)
+hung      no heartbeat for the hang timeout: it is killed                 (``managed_process.py``)
 restart   with the newest state it had published                          (``restore_state``)
 back      its first message of work under a new epoch                     (``BusMonitor.last_activity``)
 

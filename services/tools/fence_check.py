@@ -4,19 +4,47 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import msgspec
 import numpy as np
+import numpy.typing as npt
 
 from ltv_mpc.geofence.allowed_path import STEP_M, allowed_path
 from ltv_mpc.geofence.fence import Fence
 from ltv_mpc.geofence.route import Router
 from ltv_mpc.geofence.zones import Zones, clearances, pack_zones
 from ltv_mpc.messages import Array, Pair
-from ltv_mpc.references.schedule import EAST, NORTH, WAY, Schedule
+from ltv_mpc.references.schedule import DEPTH, EAST, NORTH, WAY, Schedule
 from services.reporting.plots.fence import boundary
-from services.tools.path_samples import Mask, PathSamples, sample
+
+Mask: TypeAlias = npt.NDArray[np.bool_]
+
+MAX_SAMPLES = 5000
+"""Largest number of steps; a longer path has longer ones."""
+
+
+class PathSamples(NamedTuple):
+    """Points of a path; a place alone counts as two points."""
+
+    points: Array  # (P, 2) north and east (m)
+    at: Array  # (P,) distance from the first point (m)
+    way: Array  # (P,) distance along the path, which does not count detours (m)
+    depth: Array  # (P,) depth (m), NaN if it is unknown
+
+    def length_where(self, holds: Mask) -> float:
+        """Return the length of the path (m) on which a condition (P,) holds."""
+        return float(self.way[-1]) / (len(self.way) - 1) * int(np.count_nonzero(holds))
+
+
+def sample(table: Array) -> PathSamples:
+    """Return points of a schedule's table at equal distances."""
+    north, east = table[NORTH], table[EAST]
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(north), np.diff(east)))])
+    at = np.linspace(0.0, along[-1], min(max(math.ceil(along[-1] / STEP_M), 1), MAX_SAMPLES) + 1)
+    points = np.column_stack([np.interp(at, along, north), np.interp(at, along, east)])
+    return PathSamples(points, at, np.interp(at, along, table[WAY]), np.interp(at, along, table[DEPTH]))
+
 
 WIDE_M = 200.0
 """Free distance to a side above which a corridor counts as open."""

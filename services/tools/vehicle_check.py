@@ -9,9 +9,8 @@ import msgspec
 import numpy as np
 
 from ltv_mpc.control.config import Bow, ControllerConfig, Effort, Weights
-from ltv_mpc.control.horizon_selection import kept_share, proposed_slowness
 from ltv_mpc.control.margins import Loop, Margins
-from ltv_mpc.control.resolution import settled
+from ltv_mpc.control.resolution import kept_share, proposed_slowness, settled
 from ltv_mpc.control.scaling import characteristic_scales
 from ltv_mpc.vehicle.parameters import Vehicle
 from ltv_mpc.vehicle.performance import Performance, performance

@@ -6,7 +6,7 @@ from ltv_mpc.frames import roll_pitch_heading, wrap_angle
 from ltv_mpc.localisation.sensors.compass import Compass
 from ltv_mpc.messages import CompassHeading
 from sim.random_streams import Stream, generator
-from sim.sensors.gauss_markov import GaussMarkovBias
+from sim.sensors.simulated import GaussMarkovBias
 from sim.sensors.vehicle_state import VehicleState
 
 

@@ -22,7 +22,7 @@ from ltv_mpc.jit import jit
 from ltv_mpc.localisation.sensors.imu import Imu
 from ltv_mpc.messages import Array, ImuSample, Triple
 from sim.random_streams import Stream, generator
-from sim.sensors.gauss_markov import GaussMarkovBias
+from sim.sensors.simulated import GaussMarkovBias
 from sim.sensors.vehicle_state import VehicleState
 
 

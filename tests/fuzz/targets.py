@@ -29,7 +29,7 @@ from ltv_mpc import references
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.failed_qp import ConstraintRow, NamedQp
 from ltv_mpc.control.node import ControllerNode
-from ltv_mpc.control.qp import QP
+from ltv_mpc.control.solvers.sparse import QP
 from ltv_mpc.currents import read_prior, read_profile
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.localisation.config import EstimatorConfig

@@ -13,7 +13,7 @@ from ltv_mpc.errors import ConfigError
 from ltv_mpc.references import Line, Place, Point
 from ltv_mpc.references.geodesy import Origin, tangent_plane
 from ltv_mpc.vehicle.parameters import Vehicle
-from services.tools.bottom_check import check_bottom
+from services.tools.mission_check import check_bottom
 
 HEADER = "north_m,east_m,depth_m\n"
 SQUARE = HEADER + "0,0,10\n0,100,10\n100,0,30\n100,100,30\n"

@@ -12,11 +12,10 @@ from ltv_mpc.array_encoding import to_wire
 from ltv_mpc.messages import Applied, Message, Truth
 from ltv_mpc.node import Inbox, ReceivedMessage
 from ltv_mpc.vehicle.parameters import Vehicle
-from sim.actuators import CommandPath
-from sim.plant import PERIOD_NS, STEP_NS, Plant
+from sim.plant import PERIOD_NS, STEP_NS, CommandPath, Plant
+from sim.plant import Wind as WindForce
 from sim.scenario import Actuators, Scenario, Wind, with_overrides
 from sim.water import make
-from sim.wind import Wind as WindForce
 from tests.ltv_mpc.plans import plan_of
 from tests.stepping import feed
 

@@ -12,9 +12,8 @@ from scipy.sparse import csc_matrix, vstack
 
 from ltv_mpc.control.config import ResolvedConfig
 from ltv_mpc.control.ocp.problem import Problem
-from ltv_mpc.control.qp import QP, Solution
 from ltv_mpc.control.solvers.interface import Result
-from ltv_mpc.control.solvers.sparse import solution_of, sparse_qp
+from ltv_mpc.control.solvers.sparse import QP, Solution, solution_of, sparse_qp
 from ltv_mpc.errors import SolverNotInstalled
 from ltv_mpc.messages import Solve, SolveStatus
 

@@ -6,7 +6,7 @@ State   x = [p, v, w, beta, c]
         beta   bias of beam i at range j (m/s), (4 C); a cell has that of the nearest range
         c      current north at the grid points, then east (m/s), (2 K); linear between grid points
 Propagation over dt:  p += v dt,  v a random walk of intensity q:  Q = q^2 [dt^3/3, dt^2/2; dt^2/2, dt]
-        q of each step as in ``velocity_change.py``
+        q of each step as in ``filter.py``
         beta := f beta + noise,  f = exp(-dt / tau), noise of covariance (1 - f^2) B: stationary covariance B
         c += noise of covariance q_c^2 dt rho,  rho = exp(-|z1 - z2| / L): neighbours change together
 Prior   B(r1, r2) = s_b^2 + (s_r^2 + s_n^2 exp(-(r1 + r2) / r_n)) exp(-|r1 - r2| / L_r),  beams independent

@@ -20,7 +20,7 @@ class DiveParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     """Standard deviations (1 sigma) and lengths, SI units."""
 
     # Velocity over ground is a random walk: 6 cm/s in the 4 s of an ensemble is 0.3 m/s turned by 3 deg/s, or a swell;
-    # a shear of 0.02 per second at a descent of 0.14 m/s is a fifth of it. The least: ``velocity_change.py`` estimates
+    # a shear of 0.02 per second at a descent of 0.14 m/s is a fifth of it. The least: ``filter.py`` estimates
     # what a vehicle does that is faster or turns more.
     velocity_change_mps_per_rts: Positive = 0.03
     # Before the first fix: no glider or survey vehicle is faster.

@@ -15,9 +15,8 @@ from ltv_mpc.control.linearisation import Linearisation, linearise, roll_out
 from ltv_mpc.control.ocp.assembly import problem_along
 from ltv_mpc.control.ocp.problem import Problem
 from ltv_mpc.control.problem_data import CHANGES, COMMANDS, Constants
-from ltv_mpc.control.qp import QP
 from ltv_mpc.control.solvers import SOLVERS, Solver, solve_qp
-from ltv_mpc.control.solvers.sparse import solution_of, sparse_qp
+from ltv_mpc.control.solvers.sparse import QP, solution_of, sparse_qp
 from ltv_mpc.messages import Array, Solve, SolveStatus
 from ltv_mpc.vehicle.parameters import Vehicle
 

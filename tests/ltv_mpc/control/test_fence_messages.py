@@ -9,8 +9,8 @@ from ltv_mpc import Fence, Vehicle, references
 from ltv_mpc.config import to_toml
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.controller import SAVE_PERIOD_NS
-from ltv_mpc.control.fence_publisher import FENCE_PERIOD_NS, OBSTACLES_PERIOD_NS
 from ltv_mpc.control.node import ControllerNode
+from ltv_mpc.control.operator_commands import FENCE_PERIOD_NS, OBSTACLES_PERIOD_NS
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.geofence.fence import Disc
 from ltv_mpc.messages import Action, Command, FenceInForce, Health, Obstacle, Obstacles

@@ -11,10 +11,9 @@ import pytest
 
 from ltv_mpc import Controller, ControllerConfig, CurrentProfile, Estimate, Vehicle, references
 from ltv_mpc.control.config import Disturbance, ResolvedConfig, WeightSettings
-from ltv_mpc.control.horizon_selection import kept_share, proposed_slowness
 from ltv_mpc.control.lateral import RESTING_MPS
 from ltv_mpc.control.margins import Change, Loop, steady_state
-from ltv_mpc.control.resolution import settled
+from ltv_mpc.control.resolution import kept_share, proposed_slowness, settled
 from ltv_mpc.control.scaling import characteristic_scales, default_weights
 from ltv_mpc.vehicle.parameters import Translation
 from services.tools import vehicle_check

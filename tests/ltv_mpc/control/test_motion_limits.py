@@ -15,10 +15,9 @@ from ltv_mpc.control.ocp.assembly import cost
 from ltv_mpc.control.ocp.limits import MIN_PENALTY
 from ltv_mpc.control.ocp.problem import Problem
 from ltv_mpc.control.problem_data import Constants
-from ltv_mpc.control.qp import QP, residuals
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.solvers import make, osqp, riccati, solve_qp
-from ltv_mpc.control.solvers.sparse import EXCESS, SparseLayout, solution_of
+from ltv_mpc.control.solvers.sparse import EXCESS, QP, SparseLayout, residuals, solution_of
 from ltv_mpc.control.solvers.sweep import Sweep
 from ltv_mpc.messages import Array, Estimate, SolveStatus
 from ltv_mpc.references import Line, Place, Point

@@ -9,8 +9,7 @@ import pytest
 from ltv_mpc import CurrentProfile, Estimate, Vehicle
 from ltv_mpc.control.config import Disturbance
 from ltv_mpc.control.disturbance import DisturbanceObserver
-from ltv_mpc.control.prediction import Prediction
-from ltv_mpc.control.prediction_uncertainty import growth_m
+from ltv_mpc.control.prediction import Prediction, growth_m
 from ltv_mpc.control.sent_commands import SentCommands
 from tests.ltv_mpc.plans import plan_of
 
@@ -76,7 +75,7 @@ def drawn(t_ns: int, covariance: np.ndarray | None, current_sd: float) -> float:
 )
 def test_the_growth_is_that_of_draws(covariance, bias, seconds):
     estimate = msgspec.structs.replace(MOVING, covariance=covariance)
-    growth = growth_m(Prediction(PAPER), estimate, seconds * S, sent(), bias)
+    growth = growth_m(Prediction(PAPER), estimate, seconds * S, sent(), bias.covariance_of_mean(seconds))
     at_first = 0.0 if covariance is None else float(np.hypot(*SD[:2]))
     current_sd = 0.0 if bias is NEVER else float(np.sqrt(bias.covariance_of_mean(seconds)[0, 0]))
     assert growth == pytest.approx(drawn(seconds * S, covariance, current_sd) - at_first, rel=0.15)
@@ -93,6 +92,6 @@ def test_the_standard_deviation_of_a_told_current_counts_at_the_depth_of_the_veh
     zero = np.zeros(2)
     profile = CurrentProfile(depth_m=np.array([0.0, 10.0]), north_mps=zero, east_mps=zero, sd_mps=np.array([0.0, 0.2]))
     estimate = msgspec.structs.replace(MOVING, depth_m=5.0, current=profile)
-    growth = growth_m(Prediction(PAPER), estimate, 6 * S, sent(), NEVER)
+    growth = growth_m(Prediction(PAPER), estimate, 6 * S, sent(), NEVER.covariance_of_mean(6.0))
     assert growth == pytest.approx(drawn(6 * S, None, 0.1), rel=0.15)
-    assert growth > 1.5 * growth_m(Prediction(PAPER), MOVING, 6 * S, sent(), NEVER)
+    assert growth > 1.5 * growth_m(Prediction(PAPER), MOVING, 6 * S, sent(), NEVER.covariance_of_mean(6.0))

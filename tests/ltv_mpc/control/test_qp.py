@@ -7,7 +7,7 @@ import pytest
 
 from ltv_mpc import build_qp, solve_qp
 from ltv_mpc.control.linearisation import roll_out
-from ltv_mpc.control.qp import residuals
+from ltv_mpc.control.solvers.sparse import residuals
 from ltv_mpc.vehicle.parameters import Vehicle
 
 PAPER = Vehicle.load("paper")

@@ -8,8 +8,7 @@ import pytest
 
 from ltv_mpc import ControllerConfig, Vehicle
 from ltv_mpc.control.config import Weights, WeightSettings
-from ltv_mpc.control.horizon_selection import proposed_slowness
-from ltv_mpc.control.resolution import settled
+from ltv_mpc.control.resolution import proposed_slowness, settled
 from ltv_mpc.control.scaling import PAPER_SCALES as FOUND_FOR
 from ltv_mpc.control.scaling import (
     bounded,

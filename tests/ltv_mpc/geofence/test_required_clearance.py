@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from ltv_mpc.control.fencing import update_required
 from ltv_mpc.geofence.fence import Fence
-from ltv_mpc.geofence.required_clearance import update_required
 from ltv_mpc.geofence.zones import pack_zones
 from tests.ltv_mpc.geofence.shapes import disc, fence_of, polygon
 from tests.ltv_mpc.geofence.test_half_planes import NOTCH, SQUARE

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ltv_mpc.frames import rotation
-from ltv_mpc.localisation.altimeter import MAX_AGE_NS, Altimeter
+from ltv_mpc.localisation.estimator import MAX_AGE_NS, Altimeter
 from ltv_mpc.localisation.filter.state import Belief, Layout
 from ltv_mpc.localisation.sensors.adcp import beam_directions
 from ltv_mpc.messages import BottomTrack

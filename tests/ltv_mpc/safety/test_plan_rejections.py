@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from ltv_mpc.control.node import PlanRejections
 from ltv_mpc.messages import Applied, Health
 from ltv_mpc.safety.health import NOMINAL
-from ltv_mpc.safety.plan_rejections import PlanRejections
 from tests.ltv_mpc import reports
 
 MS = 1_000_000

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from ltv_mpc.safety.thrust_impulse import KEPT_S, ThrustImpulse
+from ltv_mpc.safety.motion_fit import KEPT_S, ThrustImpulse
 
 S = 1_000_000_000
 KEPT_NS = round(KEPT_S * S)

@@ -18,7 +18,7 @@ from websockets.sync.client import ClientConnection, connect
 from ltv_mpc.messages import ClockCommand, Command, Disturbance, Heartbeat, Kill
 from services.dashboard.access_guard import Token, hosts
 from services.dashboard.config import View
-from services.dashboard.connection import Connection
+from services.dashboard.serve import Connection
 from services.dashboard.stream import MAX_READERS
 from services.reporting import static_files
 from tests.services.dashboard.synthetic_vehicle import SPEED, Served, served
@@ -106,14 +106,14 @@ def test_a_reader_that_does_not_show_the_token_soon_makes_room(page: Served, mon
 @pytest.mark.parametrize("sent", [b"", b"GET / HTTP/1.1\r\n", b"GET /page/plotly.js HTTP/1.1\r\nHost: {host}\r\n\r\n"])
 def test_an_idle_socket_ends(page: Served, sent: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
     """One that sends nothing, half a request, or reads nothing of a large answer."""
-    monkeypatch.setattr("services.dashboard.connection.IDLE_S", 0.2)
+    monkeypatch.setattr("services.dashboard.serve.IDLE_S", 0.2)
     with socket.create_connection(("127.0.0.1", page.port)) as idle:
         idle.sendall(sent.replace(b"{host}", page.host.encode()))
         until(lambda: not any(isinstance(one, Connection) for one in page.server.server_state.connections))
 
 
 def test_a_socket_above_the_limit_takes_the_place_of_an_idle_one(page: Served, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("services.dashboard.connection.MAX_SOCKETS", 5)
+    monkeypatch.setattr("services.dashboard.serve.MAX_SOCKETS", 5)
     with contextlib.ExitStack() as sockets:
         idle = [sockets.enter_context(socket.create_connection(("127.0.0.1", page.port))) for _ in range(20)]
         assert get(page)[0] == 200

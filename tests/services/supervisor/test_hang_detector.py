@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import pytest
 
-from services.supervisor.hang_detector import HangDetector, ProcessorLack
+from services.supervisor.managed_process import HangDetector, ProcessorLack
 from tests.waiting import until
 
 TICK_S = 0.05

@@ -11,8 +11,8 @@ from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from sim.evaluation.cramer_rao_bound import Trajectory, bound
 from sim.evaluation.cramer_rao_bound import model as model_of_errors
+from sim.evaluation.cramer_rao_bound.analysis import schedule
 from sim.evaluation.cramer_rao_bound.model import ATTITUDE, BEAM_BIAS, EPOCH, MOVING, POSITION, WATER, ErrorModel, at
-from sim.evaluation.cramer_rao_bound.schedule import schedule
 
 PAPER, REALISTIC = SensorConfig.load("paper"), SensorConfig.load("realistic")
 ONE_AXIS = ("heading", "vertical")

@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 from ltv_mpc import frames
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from sim.attitude import Attitude
-from sim.sensors.gauss_markov import GaussMarkovBias
 from sim.sensors.imu import InertialUnit, increments
+from sim.sensors.simulated import GaussMarkovBias
 from tests.sim.worlds import MS, check_white, instant
 
 G = 9.80665

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from ltv_mpc.control.config import ResolvedConfig, Weights
-from ltv_mpc.control.qp import residuals
 from ltv_mpc.control.solvers import osqp, riccati
 from ltv_mpc.control.solvers.active_set import FAILED
 from ltv_mpc.control.solvers.osqp import OsqpSolver
+from ltv_mpc.control.solvers.sparse import residuals
 from ltv_mpc.messages import SolveStatus
 from tests.ltv_mpc.control.problems import LIMITS, LOWERED, Form, answer, equidistant, motion
 

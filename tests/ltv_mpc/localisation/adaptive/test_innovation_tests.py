@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, kstest
 
-from ltv_mpc.localisation.adaptive.innovation_tests import MAX_SD, InnovationMeanTest, threshold
+from ltv_mpc.localisation.adaptive.process_noise import MAX_SD, InnovationMeanTest, threshold
 
 SECOND = 1_000_000_000
 TAU_S = (1.0, 3.0, 10.0)
