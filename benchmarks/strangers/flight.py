@@ -22,7 +22,7 @@ import numpy.typing as npt
 from benchmarks.strangers import catamaran, ellipsoid, light_boat
 from benchmarks.strangers.rigid_body import Hull, Plant
 from ltv_mpc import Controller, ControllerConfig, Estimate, Vehicle
-from ltv_mpc.messages import Applied, Array, Health, Pair, Plan
+from ltv_mpc.messages import Applied, Array, Health, Pair
 from ltv_mpc.references import Reference
 from sim.plant import CommandPath
 from sim.plant import Wind as WindForce
@@ -147,11 +147,10 @@ class Ours:
     def __init__(self, vehicle: Vehicle, reference: Reference, config: ControllerConfig | None = None) -> None:
         self.controller = Controller(vehicle, reference, config)
         self.nominal = False
-        self.last: Plan | None = None
 
     def plan(self, estimate: Estimate, t_ns: int, applied: Applied | None) -> tuple[npt.NDArray[np.int64], Array]:
         """Return the plan of one cycle."""
-        self.last = plan = self.controller.plan(estimate, t_ns=t_ns, applied=applied)
+        plan = self.controller.plan(estimate, t_ns=t_ns, applied=applied)
         self.nominal = plan.health is Health.NOMINAL
         return plan.t_ns, plan.thrust_N[:, :2]
 

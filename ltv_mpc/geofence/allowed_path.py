@@ -22,7 +22,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from ltv_mpc.geofence.route import Router
+from ltv_mpc.geofence.route import Router, length_m
 from ltv_mpc.geofence.zones import Zones, are_clear, clearances, nearest
 from ltv_mpc.messages import Array, Pair
 from ltv_mpc.references.schedule import DEPTH, EAST, NORTH, TIME, WAY, Schedule
@@ -130,7 +130,7 @@ def _with_detours(table: Array, gaps: Columns, router: Router, sinking_mps: floa
         before, behind, way = _shortest_detour(table, range(begin, i + 1), range(i + 1, following + 1), router)
         first, last = table[:, before, None], table[:, behind, None].copy()
         planned_s = float(last[TIME, 0] - first[TIME, 0])
-        detour_s = 0.0 if way is None else _length_m(way) / _speed_mps(table, before, behind)
+        detour_s = 0.0 if way is None else length_m(way) / _speed_mps(table, before, behind)
         if sinking_mps > 0.0:
             detour_s = max(detour_s, abs(float(last[DEPTH, 0] - first[DEPTH, 0])) / sinking_mps)
         last[TIME] = first[TIME] + detour_s
@@ -154,11 +154,6 @@ def _detour(first: Array, last: Array, way: Array) -> Array:
     return detour
 
 
-def _length_m(way: Array) -> float:
-    """Return the length (m) of a way (P, 2)."""
-    return float(np.hypot(*np.diff(way, axis=0).T).sum())
-
-
 def _with_rests(table: Array, begin_s: float, end_s: float) -> Array:
     """Return the table (5, M) of a schedule with rests at its ends, from ``begin_s`` and until ``end_s`` at least."""
     ends = table[:, [0, -1]]
@@ -179,7 +174,7 @@ def _shortest_detour(table: Array, left: range, right: range, router: Router) ->
             j = min(right[-1], right[0] + int(np.searchsorted(table[WAY, right[0] :], table[WAY, right[0]] + meet_m)))
             start, end = table[[NORTH, EAST], i], table[[NORTH, EAST], j]
             way = np.vstack([start, router.way(start, end, remember=False)])
-            longer_m = _length_m(way) - float(table[WAY, j] - table[WAY, i])
+            longer_m = length_m(way) - float(table[WAY, j] - table[WAY, i])
             if (way[-1] == end).all() and longer_m < best_m - ROUNDING_M:
                 best_m, best = longer_m, (i, j, way)
     return best

@@ -9,7 +9,6 @@ the vehicle could change its mind with every estimate.
 
 from __future__ import annotations
 
-import itertools
 import math
 from typing import NamedTuple
 
@@ -126,7 +125,7 @@ class Router:
         if not remember:
             return best
         kept = self._shortened(start, goal)
-        if kept is None or _length(start, best) < (1.0 - SHORTER) * _length(start, kept):
+        if kept is None or length_m(np.vstack([start, best])) < (1.0 - SHORTER) * length_m(np.vstack([start, kept])):
             kept = best
         self._way = kept
         return kept
@@ -189,8 +188,14 @@ class Router:
         return None
 
 
-def _length(start: Array, way: Array) -> float:
-    return math.dist(start, way[0]) + sum(math.dist(a, b) for a, b in itertools.pairwise(way))
+def length_m(way: Array) -> float:
+    """Return the length (m) of a way.
+
+    Parameters
+    ----------
+    way : (P, 2) north and east of its points (m).
+    """
+    return float(np.hypot(*np.diff(way, axis=0).T).sum())
 
 
 def _nodes(zones: Zones, need: Array):  # type: ignore[no-untyped-def]

@@ -34,6 +34,8 @@ MIN_HALF_TURN_RAD, MIN_HALF_TURN_COSINE = 1e-6, 1e-9
 """Bounds of half the change of direction and of its cosine, between which a radius is defined: a straight path needs no
 arc, and a reversal has none.
 """
+LEAD_IN_M = 0.5
+"""Distance from the first point above which the path is preceded by a straight leg to it."""
 MAX_POINTS = 100_000
 """Largest number of points of a path."""
 
@@ -158,20 +160,20 @@ def chord_count(turn: float, R: float) -> int:
     return max(1, math.ceil(turn / step))
 
 
-def with_lead_in(path: Path, start: Array, shortest_m: float) -> tuple[Path, float]:
+def with_lead_in(path: Path, start: Array) -> tuple[Path, float]:
     """Return the path preceded by a straight leg from ``start`` to its first point, and the length of that leg (m).
 
-    The vehicle stops and turns between leg and path, unless the path goes straight on (``STRAIGHT_RAD``).
+    The vehicle stops and turns between leg and path, unless the path goes straight on (``STRAIGHT_RAD``). If the start
+    is nearer than ``LEAD_IN_M``, the path is returned as it is, with length 0.
 
     Parameters
     ----------
     path : path that follows the leg.
     start : (2,) position north and east (m).
-    shortest_m : smallest length of a leg (m). If the start is nearer, the path is returned as it is, with length 0.
     """
     leg = path.points[0] - start
     length = float(np.hypot(*leg))
-    if length < shortest_m:
+    if length < LEAD_IN_M:
         return path, 0.0
     first = first_leg(path)
     turn = abs(math.remainder(math.atan2(first[1], first[0]) - math.atan2(leg[1], leg[0]), 2.0 * math.pi))

@@ -27,8 +27,6 @@ Angle: TypeAlias = Annotated[float, Meta(ge=-360, le=360)]
 
 SAME_M, ROUNDING_M = 1e-3, 1e-6
 """Smallest extent of a path, and distance below which two successive waypoints are one."""
-LEAD_IN_M = 0.5
-"""Distance from the first point above which the path is preceded by a straight leg to it."""
 MIN_TURN_RAD = math.radians(15.0)
 """Angle between heading and first leg above which the schedule starts with time to turn."""
 MIN_COURSE_SPEED_MPS = 0.05
@@ -60,7 +58,7 @@ class Shape(BaseReference, frozen=True, kw_only=True):
         """
         path, lead_m, begin, turn = self.path(), 0.0, 0.0, 0.0
         if anchor is not None:
-            path, lead_m = with_lead_in(path, np.array([anchor.north_m, anchor.east_m]), LEAD_IN_M)
+            path, lead_m = with_lead_in(path, np.array([anchor.north_m, anchor.east_m]))
             begin, turn = _initial_motion(path, anchor)
         return fastest_schedule(
             path,

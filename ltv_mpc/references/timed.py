@@ -24,9 +24,8 @@ from ltv_mpc.references.base import BaseReference
 from ltv_mpc.references.geodesy import DEPTH, METRES, read_places
 from ltv_mpc.references.leg_fit import along, fit_legs
 from ltv_mpc.references.limits import path_limits
-from ltv_mpc.references.path import smooth_curve
+from ltv_mpc.references.path import LEAD_IN_M, smooth_curve
 from ltv_mpc.references.schedule import TIME, Schedule, fastest_schedule
-from ltv_mpc.references.shapes import LEAD_IN_M
 from ltv_mpc.vehicle.parameters import Vehicle
 
 Row: TypeAlias = Annotated[tuple[float, ...], Meta(min_length=3, max_length=4)]

@@ -195,19 +195,13 @@ def _steady_yaw_rates(vehicle: Vehicle) -> tuple[float | None, float | None]:
 
 
 def _steady_yaw_rate(vehicle: Vehicle, F: Array) -> float | None:
-    """Return r (rad/s) with u' = v' = r' = 0 under the thrusts ``F`` (2,) in N.
+    """Return r (rad/s) under the thrusts ``F`` (2,) in N from rest, once u, v and r hardly change in 5 s.
 
     Return None without damping in yaw or sway, or if the motion does not settle.
     """
     p = vehicle.coefficients()
     if p.linear_yaw + p.quadratic_yaw <= 0.0 or p.linear_sway + p.quadratic_sway <= 0.0:
         return None
-
-    return float(settled[2]) if (settled := _settled_motion(vehicle, F)) is not None else None
-
-
-def _settled_motion(vehicle: Vehicle, F: Array) -> Array | None:
-    """Return u, v, r (3,) under ``F`` from rest, once they hardly change in 5 s; None if that takes too long."""
     motion, before, now = _StillWaterMotion(vehicle), np.ones(3), np.zeros(3)
     while np.abs(now - before).max() >= SETTLED:
         if motion.t_s >= MAX_TIME_S:
@@ -215,7 +209,7 @@ def _settled_motion(vehicle: Vehicle, F: Array) -> Array | None:
         before = now
         motion.until(lambda _: False, F, longest_s=motion.t_s + 5.0)
         now = motion.X[[2, 3, 5]]
-    return now
+    return float(now[2])
 
 
 class _StillWaterMotion:

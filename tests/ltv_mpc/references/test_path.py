@@ -59,10 +59,10 @@ def test_the_vehicle_stops_at_a_sharp_corner_and_at_a_reversal():
 
 def test_a_distant_start_adds_a_straight_leg_to_the_path():
     path = corner(math.pi / 2, 0.4)
-    same, none = with_lead_in(path, np.array([-20.1, 0.2]), 0.5)
+    same, none = with_lead_in(path, np.array([-20.1, 0.2]))
     assert none == 0.0
     assert same is path
-    led, lead_m = with_lead_in(path, np.array([-20.0, -3.0]), 0.5)
+    led, lead_m = with_lead_in(path, np.array([-20.0, -3.0]))
     assert lead_m == pytest.approx(3.0)
     assert led.length_m == pytest.approx(path.length_m + 3.0)
     assert led.turn_on_spot[1] == pytest.approx(math.pi / 2)  # from east to north
