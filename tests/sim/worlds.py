@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import pytest
 
 from ltv_mpc import frames
-from ltv_mpc.messages import Truth
+from ltv_mpc.localisation.sensor_config import SensorConfig
+from ltv_mpc.messages import Message, Truth
+from ltv_mpc.node import ReceivedMessage
+from ltv_mpc.validation import rejection_reason
+from sim.scenario import Scenario
+from sim.sensors.node import Sensors
 from sim.sensors.vehicle_state import VehicleState
+from sim.water import make
+from tests.stepping import unpacked
 
 MS, S = 1_000_000, 1_000_000_000
 S20, C20 = math.sin(math.radians(20)), math.cos(math.radians(20))
@@ -28,6 +36,18 @@ def truth(t_ns: int = 0, **changes: Any) -> Truth:
 
 def instant(t_ns=0, *, attitude=STILL, position=(1.0, 2.0, 5.0), velocity=STILL, rate=STILL) -> VehicleState:
     return VehicleState(t_ns, position, velocity, frames.rotation(*attitude), np.array(rate), 0.0)
+
+
+def sensed(suite: SensorConfig, world: Sequence[Truth], scenario: Scenario) -> list[tuple[int, Message]]:
+    """Return each message of the sensors with the time of its publication, in order."""
+    node = Sensors(scenario, suite, make(scenario.water, scenario.run.seed))
+    out = []
+    for k, now in enumerate(world):
+        for message in node.step(now.t_ns, [ReceivedMessage(now, 1, k, now.t_ns)]):
+            assert type(message) in node.writes
+            assert rejection_reason(message) is None
+            out += [(now.t_ns, part) for part in unpacked([message])]
+    return out
 
 
 def check_white(errors, sd: float) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-import msgspec
 import numpy as np
 import pytest
 
@@ -12,7 +11,6 @@ from benchmarks.faults.effects import (
     FaultySolver,
     InjectedSolverError,
     Interval,
-    RestartedNode,
     SolverClock,
     SolverFault,
     SolverFaultInterval,
@@ -24,29 +22,20 @@ from benchmarks.faults.message_faults import (
     MessageFaults,
 )
 from benchmarks.faults.sensor_faults import READINGS, Failure, FaultySensors, SensorFault
-from ltv_mpc.control.config import ControllerConfig
-from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.control.ocp.problem import Problem
 from ltv_mpc.control.solvers.interface import Result
 from ltv_mpc.messages import (
-    Action,
-    Authority,
-    Command,
     CompassHeading,
     Estimate,
     ImuSample,
     ImuSamples,
     Message,
-    Plan,
-    PlanOrigin,
     PressureDepth,
     Solve,
     SolveStatus,
 )
 from ltv_mpc.node import Grid, Inbox, ReceivedMessage
-from ltv_mpc.references import Point
 from ltv_mpc.validation import rejection_reason
-from ltv_mpc.vehicle.parameters import Vehicle
 from tests.stepping import as_sent
 
 MS, S = 1_000_000, 1_000_000_000
@@ -213,25 +202,3 @@ def test_a_faulty_solver_gives_no_finite_command_in_its_interval(fault: SolverFa
     assert solve.status is status
     with pytest.raises(InjectedSolverError):
         FaultySolver(Good(), [SolverFaultInterval(SolverFault.RAISES, INTERVAL)], now).solve(PROBLEM, 0.0)
-
-
-def test_a_new_node_goes_on_armed_and_solves_its_second_plan() -> None:
-    made: list[ControllerNode] = []
-
-    def make() -> ControllerNode:
-        made.append(ControllerNode(Vehicle.load("surface"), Point(north_m=0.0, east_m=0.0), ControllerConfig()))
-        return made[-1]
-
-    node = RestartedNode(make, [Interval(2 * S, 4 * S)])
-    plans: dict[int, list[Plan]] = {}
-    for i in range(20):
-        t_ns = i * 300 * MS
-        inbox = [ReceivedMessage(msgspec.structs.replace(Estimate.at_rest(), t_ns=t_ns), 1, i, t_ns)]
-        if i == 0:
-            inbox.append(ReceivedMessage(Command(command_id=1, action=Action.ARM), 2, 0, t_ns))
-        plans[t_ns] = [message for message in node.step(t_ns, inbox) if isinstance(message, Plan)]
-    assert len(made) == 2
-    assert [t_ns for t_ns, of in plans.items() if not of] == [t for t in plans if 2 * S <= t < 4 * S]
-    first, second = [of[0] for t_ns, of in plans.items() if t_ns >= 4 * S][:2]
-    assert first.authority is second.authority is Authority.CONTROLLER
-    assert second.origin is PlanOrigin.SOLVED

@@ -171,18 +171,6 @@ def test_a_share_of_beams_that_is_lost_weighs_as_much_as_noise():
     assert a[0, 3, 3] > 1.05 * plain[0, 3, 3]
 
 
-def test_more_is_known_with_each_sensor_and_less_with_each_error():
-    config, trajectory = EstimatorConfig(deepest_m=7.0), swaying(10.0)
-
-    def drift(suite=REALISTIC, **settings):
-        return float(bound(suite, config, trajectory, at_s=[10.0], surface_time_s=1.0, **settings).drift_rms_m[0])
-
-    everything = drift()
-    assert all(everything < drift(without=(sensor,)) for sensor in ("adcp", "tdcp", "compass"))
-    assert all(everything > drift(known=(error,)) for error in ("heading", "tilt"))
-    assert everything > drift(replace(REALISTIC, adcp=replace(REALISTIC.adcp, beam_bias_sd_mps=0.0)))
-
-
 def test_what_is_known_has_no_variance_and_nothing_has_drifted_at_submergence():
     config, trajectory = EstimatorConfig(deepest_m=7.0), swaying(2.0)
 

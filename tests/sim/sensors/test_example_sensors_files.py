@@ -11,15 +11,11 @@ import pytest
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.messages import AdcpPing, BottomTrack, LblRange, UsblFix
-from ltv_mpc.node import ReceivedMessage
-from ltv_mpc.validation import rejection_reason
 from sim.scenario import Scenario, with_overrides
-from sim.sensors.node import Sensors
-from sim.water import make
-from tests.sim.worlds import truth
+from tests.sim.worlds import MS, S, sensed, truth
 
 EXAMPLES = Path(__file__).parents[3] / "examples" / "sensors"
-REALISTIC = SensorConfig.load("realistic")
+REALISTIC, BASE = SensorConfig.load("realistic"), '"realistic"'
 
 
 def load(name: str) -> SensorConfig:
@@ -60,47 +56,29 @@ def test_the_example_of_an_own_profiler_differs_only_in_its_keys():
 )
 def test_each_example_measures_in_a_hover_at_20_m(name, kind, late_ns):
     scenario = with_overrides(Scenario.load("hover"), ["water.bottom_m=35"])
-    node = Sensors(scenario, load(name), make(scenario.water, 0))
-    seen = 0
-    for k, t in enumerate(range(-1_000_000_000, 12_000_000_000, 50_000_000)):
-        now = truth(t, position_m=(0.0, 0.0, 20.0))
-        for message in node.step(t, [ReceivedMessage(now, 1, k, t)]):
-            assert rejection_reason(message) is None
-            if isinstance(message, kind):
-                seen += 1
-                # LBL: half of 0.21 s after the middle, but for outliers
-                assert late_ns - 20_000_000 <= t - message.t_ns < late_ns + 70_000_000
-    assert seen >= 4
+    world = [truth(t, position_m=(0.0, 0.0, 20.0)) for t in range(-S, 12 * S, 50 * MS)]
+    late = [t - message.t_ns for t, message in sensed(load(name), world, scenario) if isinstance(message, kind)]
+    assert len(late) >= 4
+    # LBL: half of 0.21 s after the middle, but for outliers
+    assert late_ns - 20 * MS <= min(late) <= max(late) < late_ns + 70 * MS
 
 
 @pytest.mark.parametrize(
-    ("base", "says"),
+    ("base", "text", "says"),
     [
-        ('"realistc"', 'own.toml: base = "realistc": no shipped name; shipped: paper, realistic; did you mean'),
-        ('"./mine.toml"', 'own.toml: base = "./mine.toml": must be the name of a shipped sensors file'),
-        ('"realistic.toml"', 'own.toml: base = "realistic.toml": must be the name of a shipped sensors file'),
-        ("3", "own.toml: base = 3: must be the name of a shipped sensors file"),
+        ('"realistc"', "", 'own.toml: base = "realistc": no shipped name; shipped: paper, realistic; did you mean'),
+        ('"./mine.toml"', "", 'own.toml: base = "./mine.toml": must be the name of a shipped sensors file'),
+        ('"realistic.toml"', "", 'own.toml: base = "realistic.toml": must be the name of a shipped sensors file'),
+        ("3", "", "own.toml: base = 3: must be the name of a shipped sensors file"),
+        (BASE, "[adcp]\nmountng_rad = [0, 0, 0]", 'unknown key "mountng_rad" in [adcp]; did you mean "mounting_rad"?'),
+        (BASE, "[usbl]\nperiod_ns = 2_000_000_000", 'key "latency_ns" in [usbl] is missing'),
+        (BASE, "[adcp]\nlatency_ns = 2_000_000_000", "[adcp] latency_ns = 2000000000: must be >= 0 and <= 1000000000"),
+        (BASE, "[pressure]\nlever_arm_m = [0.0, 0.0]", "[pressure] lever_arm_m"),
+        (BASE, "[lbl]\ntransponders_m = []", "[lbl] transponders_m"),
     ],
 )
-def test_a_base_must_be_a_shipped_sensors_file(tmp_path, base, says):
-    (tmp_path / "own.toml").write_text(f'base = {base}\nname = "own"\n')
-    with pytest.raises(ConfigError) as error:
-        SensorConfig.load(str(tmp_path / "own.toml"))
-    assert says in str(error.value)
-
-
-@pytest.mark.parametrize(
-    ("text", "says"),
-    [
-        ("[adcp]\nmountng_rad = [0.0, 0.0, 0.0]", 'unknown key "mountng_rad" in [adcp]; did you mean "mounting_rad"?'),
-        ("[usbl]\nperiod_ns = 2_000_000_000", 'key "latency_ns" in [usbl] is missing'),
-        ("[adcp]\nlatency_ns = 2_000_000_000", "[adcp] latency_ns = 2000000000: must be >= 0 and <= 1000000000"),
-        ("[pressure]\nlever_arm_m = [0.0, 0.0]", "[pressure] lever_arm_m"),
-        ("[lbl]\ntransponders_m = []", "[lbl] transponders_m"),
-    ],
-)
-def test_keys_that_replace_those_of_a_base_are_validated(tmp_path, text, says):
-    (tmp_path / "own.toml").write_text(f'base = "realistic"\nname = "own"\n{text}\n')
+def test_a_base_must_be_a_shipped_file_and_keys_that_replace_its_own_are_validated(tmp_path, base, text, says):
+    (tmp_path / "own.toml").write_text(f'base = {base}\nname = "own"\n{text}\n')
     with pytest.raises(ConfigError) as error:
         SensorConfig.load(str(tmp_path / "own.toml"))
     assert says in str(error.value)

@@ -8,12 +8,10 @@ from collections import defaultdict
 import msgspec
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from ltv_mpc.array_encoding import to_wire
 from ltv_mpc.localisation.sensor_config import SensorConfig
-from ltv_mpc.localisation.sensors.bottom_track import BottomTracking
-from ltv_mpc.localisation.sensors.lbl import Lbl
-from ltv_mpc.localisation.sensors.usbl import Usbl
 from ltv_mpc.messages import (
     AdcpPing,
     BottomTrack,
@@ -26,29 +24,23 @@ from ltv_mpc.messages import (
     Truth,
     UsblFix,
 )
-from ltv_mpc.node import ReceivedMessage
-from ltv_mpc.validation import rejection_reason
 from sim.scenario import Scenario, with_overrides
-from sim.sensors.node import Sensors
-from sim.water import make
-from tests.sim.worlds import MS, S, truth
-from tests.stepping import unpacked
+from tests.ltv_mpc.localisation.sensors.every_sensor import EVERY_SENSOR, with_settings
+from tests.sim.worlds import MS, S, sensed, truth
 
 encode = msgspec.json.Encoder(enc_hook=to_wire).encode
 PLAIN = SensorConfig.load("realistic")
-NO_LOSS = {"missing_share": 0.0, "outlier_share": 0.0}
-LBL = Lbl(
-    period_ns=S,
-    transponders_m=((300.0, 0.0, 60.0), (0.0, -500.0, 60.0), (0.0, 100.0, 60.0)),
-    sound_speed_mps=1500.0,
-    sound_speed_sd_mps=2.0,
-    range_sd_m=0.5,
-    outlier_m=0.0,
-    **NO_LOSS,
+EVERY = with_settings(
+    replace(PLAIN, bottom_track=EVERY_SENSOR.bottom_track, lbl=EVERY_SENSOR.lbl, usbl=EVERY_SENSOR.usbl),
+    bottom_track={"period_ns": 333_333_333, "beam_noise_sd_mps": 0.0015, "outlier_mps": 0.0},
+    lbl={
+        "transponders_m": ((300.0, 0.0, 60.0), (0.0, -500.0, 60.0), (0.0, 100.0, 60.0)),
+        "sound_speed_sd_mps": 2.0,
+        "range_sd_m": 0.5,
+    },
+    usbl={"period_ns": 500 * MS, "latency_ns": 800 * MS, "ship_m": (60.0, -40.0), "bearing_sd_rad": 0.01},
 )
-SHIP = {"ship_m": (60.0, -40.0), "position_sd_m": 1.0, "bearing_sd_rad": 0.01, "outlier_m": 0.0}
-USBL = Usbl(period_ns=500 * MS, latency_ns=800 * MS, **SHIP, **NO_LOSS)
-BED = BottomTracking(period_ns=333_333_333, range_m=20.0, beam_noise_sd_mps=0.0015, outlier_mps=0.0, **NO_LOSS)
+LBL, USBL, BED = EVERY.lbl, EVERY.usbl, EVERY.bottom_track
 
 
 def scenario(*settings: str) -> Scenario:
@@ -65,23 +57,11 @@ def truths(from_ns=-S, until_ns=3 * S, step_ns=10 * MS, depth=20.0) -> list[Trut
 
 
 def said(suite: SensorConfig, world: list[Truth], settings: Scenario | None = None) -> list[tuple[int, object]]:
-    """Return (time of publication, message) in order."""
-    settings = settings or scenario()
-    node = Sensors(settings, suite, make(settings.water, settings.run.seed))
-    out = []
-    for k, now in enumerate(world):
-        for message in node.step(now.t_ns, [ReceivedMessage(now, 1, k, now.t_ns)]):
-            assert type(message) in node.writes
-            assert rejection_reason(message) is None
-            out += [(now.t_ns, part) for part in unpacked([message])]
-    return out
+    return sensed(suite, world, settings or scenario())
 
 
 def late(suite: SensorConfig, **latencies_ms: int) -> SensorConfig:
-    tables = {
-        name: msgspec.structs.replace(getattr(suite, name), latency_ns=ms * MS) for name, ms in latencies_ms.items()
-    }
-    return msgspec.structs.replace(suite, **tables)
+    return with_settings(suite, **{name: {"latency_ns": ms * MS} for name, ms in latencies_ms.items()})
 
 
 LATENCIES = {"adcp": 137, "pressure": 20, "gnss": 255, "tdcp": 1000, "compass": 400, "bottom_track": 333, "usbl": 800}
@@ -98,7 +78,7 @@ KINDS = {
 
 @pytest.mark.parametrize("step_ns", [10 * MS, 40 * MS])
 def test_a_sensor_with_latency_publishes_the_same_values_that_much_later(step_ns):
-    suite = late(msgspec.structs.replace(PLAIN, bottom_track=BED, usbl=USBL), usbl=0)
+    suite = late(replace(PLAIN, bottom_track=BED, usbl=USBL), usbl=0)
     world = truths(step_ns=step_ns)
     at_once, delayed = said(suite, world), said(late(suite, **LATENCIES), world)
     assert all(at - step_ns < m.t_ns <= at for at, m in at_once if m.t_ns > -S and not isinstance(m, ImuSample))
@@ -119,7 +99,7 @@ def test_a_sensor_with_latency_publishes_the_same_values_that_much_later(step_ns
 
 
 def test_messages_of_one_arrival_time_are_published_in_order_of_validity():
-    suite = late(msgspec.structs.replace(PLAIN, usbl=USBL), compass=1000, pressure=500)
+    suite = late(replace(PLAIN, usbl=USBL), compass=1000, pressure=500)
     at_zero = [m for at, m in said(suite, truths()) if at == 0]
     # the compass of -1 s, pressure of -0.5 s, then what is measured now, in the order of the list
     assert [(type(m), m.t_ns) for m in at_zero] == [
@@ -134,8 +114,8 @@ def test_messages_of_one_arrival_time_are_published_in_order_of_validity():
 
 def test_a_range_is_published_when_the_reply_arrives():
     """A detour of up to 60 m takes up to 80 ms: replies by way of the surface arrive so much later."""
-    wild = msgspec.structs.replace(LBL, range_sd_m=1e-9, outlier_share=0.5, outlier_m=60.0)
-    suite = msgspec.structs.replace(PLAIN, lbl=wild)
+    wild = replace(LBL, range_sd_m=1e-9, outlier_share=0.5, outlier_m=60.0)
+    suite = replace(PLAIN, lbl=wild)
     world = truths()
     ranges = [(at, m) for at, m in said(suite, world) if isinstance(m, LblRange)]
     assert [m.transponder for _, m in ranges] == [2, 0, 1] * 4  # near ones first
@@ -150,23 +130,24 @@ def test_a_range_is_published_when_the_reply_arrives():
         assert direct - 0.005 < times[j] < direct + 0.085
 
 
-@pytest.mark.parametrize(
-    ("name", "table", "kind"), [("bottom_track", BED, BottomTrack), ("lbl", LBL, LblRange), ("usbl", USBL, UsblFix)]
-)
-def test_an_additional_sensor_publishes_and_does_not_change_the_others(name, table, kind):
-    with_it = msgspec.structs.replace(PLAIN, **{name: table})
-    world = truths()
-    bed = scenario("water.bottom_m=39")
-    before, after = said(PLAIN, world, bed), said(with_it, world, bed)
-    assert [(at, encode(m)) for at, m in before] == [(at, encode(m)) for at, m in after if type(m) is not kind]
-    assert any(type(m) is kind for _, m in after)
-    again = said(with_it, world, scenario("run.seed=5", "water.bottom_m=39"))
-    assert [encode(m) for _, m in again if type(m) is kind] != [encode(m) for _, m in after if type(m) is kind]
+@pytest.mark.parametrize("name", [*KINDS, "imu", "lbl"])
+def test_a_change_of_one_sensor_or_one_more_does_not_change_the_others(name):
+    added = getattr(PLAIN, name) is None
+    table = getattr(EVERY, name) if added else replace(getattr(SensorConfig.load("paper"), name), period_ns=500 * MS)
+    suite, kind = replace(PLAIN, **{name: table}), KINDS.get(name) or {"imu": ImuSample, "lbl": LblRange}[name]
+    bed, other_seed = "water.bottom_m=39", "run.seed=5"
+    before, after, again = (
+        [(at, type(m), encode(m)) for at, m in said(x, truths(), scenario(bed, *seed))]
+        for x, seed in ((PLAIN, ()), (suite, ()), (suite, (other_seed,)))
+    )
+    assert [row for row in before if row[1] is not kind] == [row for row in after if row[1] is not kind]
+    own = [[row for row in rows if row[1] is kind] for rows in (before, after, again)]
+    assert own[0] != own[1] != own[2]
 
 
 def test_carrier_phase_is_that_of_the_receivers_antenna():
     """On a mast of 10 m the antenna moves with the roll, by the sine of its change."""
-    mast = msgspec.structs.replace(PLAIN, gnss=msgspec.structs.replace(PLAIN.gnss, lever_arm_m=(0.0, 0.0, -10.0)))
+    mast = replace(PLAIN, gnss=replace(PLAIN.gnss, lever_arm_m=(0.0, 0.0, -10.0)))
     world = truths(from_ns=-3 * S, until_ns=0)
     on_hull, on_mast = ([m for _, m in said(x, world) if isinstance(m, TdcpFix)] for x in (PLAIN, mast))
     for a, b in zip(on_hull, on_mast, strict=True):
@@ -179,9 +160,9 @@ def test_carrier_phase_is_that_of_the_receivers_antenna():
 
 def test_a_vehicle_at_rest_above_a_bed_finds_it_and_loses_the_cells_beyond():
     """Transducer at 20.3 m, bed at 32 m: cells of the realistic profiler at 0.9 to 10.9 m are nearer than 11.7 m."""
-    level = msgspec.structs.replace(PLAIN.adcp, mounting_known_to_rad=0.0, missing_share=0.0, outlier_share=0.0)
-    suite = msgspec.structs.replace(PLAIN, adcp=level, bottom_track=BED)
-    rest = [msgspec.structs.replace(x, velocity_mps=(0.0, 0.0, 0.0), attitude_rad=(0.0, 0.0, 0.1)) for x in truths()]
+    level = replace(PLAIN.adcp, mounting_known_to_rad=0.0, missing_share=0.0, outlier_share=0.0)
+    suite = replace(PLAIN, adcp=level, bottom_track=BED)
+    rest = [replace(x, velocity_mps=(0.0, 0.0, 0.0), attitude_rad=(0.0, 0.0, 0.1)) for x in truths()]
     messages = [m for _, m in said(suite, rest, scenario("water.bottom_m=32"))]
     pings = [m for m in messages if isinstance(m, AdcpPing)]
     tracks = [m for m in messages if isinstance(m, BottomTrack)]

@@ -1,7 +1,6 @@
 """Strapdown integration against a fine integration of the continuous equations; transition against differences."""
 
 import numpy as np
-import pytest
 from scipy.integrate import quad_vec, solve_ivp
 
 from ltv_mpc.frames import earth_rate, rotation, rotation_exp, rotation_log
@@ -95,29 +94,16 @@ def test_the_accumulated_transition_is_the_derivative_of_the_integration():
         np.testing.assert_allclose(Phi[:, k], column, rtol=2e-5, atol=2e-7, err_msg=f"error state {k}")
 
 
-def test_noise_grows_as_random_walks_do():
-    seconds = 2.0
-    x, R = start()
-    n = round(seconds / DT)
-    steady = NOISE.copy()
-    steady[[2, 4]] = 0  # biases that do not wander
-    Q = run(x, R, [np.zeros(3)] * n, [np.zeros(3)] * n, earth=np.zeros(3), noise=steady)[1]
-    s_a, s_g = IMU.velocity_random_walk_mps_per_rts**2, IMU.angle_random_walk_rad_per_rts**2
-    for i in range(3):
-        # Integrals of white noise: t, t^2/2, t^3/3.
-        assert Q[3 + i, 3 + i] == pytest.approx(s_a * seconds, rel=1e-3)
-        assert Q[6 + i, 6 + i] == pytest.approx(s_g * seconds, rel=1e-3)
-        assert Q[i, 3 + i] == pytest.approx(s_a * seconds**2 / 2, rel=1e-3)
-        assert Q[i, i] == pytest.approx(s_a * seconds**3 / 3, rel=1e-3)
-
-
 def test_the_noise_of_one_sample_moves_position_by_half_its_interval():
-    """White noise of the mean force over dt: dv = dt n and dp = dt / 2 dv are fully correlated."""
+    """White noise of the mean force over dt: dv = dt n and dp = dt / 2 dv are fully correlated; that of rates turns."""
     x, R = start()
     Q = run(x, R, [RATE], [FORCE])[1]
     gain = np.vstack([0.5 * DT * np.eye(3), np.eye(3)])
     s_a = IMU.velocity_random_walk_mps_per_rts**2 * DT
     np.testing.assert_allclose(Q[:6, :6], s_a * gain @ gain.T, rtol=1e-12, atol=0)
+    np.testing.assert_allclose(
+        Q[6:9, 6:9], IMU.angle_random_walk_rad_per_rts**2 * DT * np.eye(3), rtol=1e-12, atol=1e-30
+    )
 
 
 def test_imu_noise_has_the_values_of_the_settings():
