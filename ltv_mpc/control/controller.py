@@ -103,9 +103,10 @@ class Controller:
         self.config = config = settled(exact(config or ControllerConfig()), vehicle)
         self.vehicle = vehicle
         weights = config.weights.at_heading(False)
-        self._prediction = Prediction(vehicle, config.period_ns)
+        self.prediction = Prediction(vehicle, config.period_ns)
+        """Prediction from an estimate, with the commands in force."""
         constants = Constants.of(vehicle, weights, config.knots, config.limits.state_bounds)
-        constants = constants._replace(p=self._prediction.coefficients)  # one array, with what the observer learns
+        constants = constants._replace(p=self.prediction.coefficients)  # one array, with what the observer learns
         self.estimate_gate = EstimateGate(vehicle, config.ages)
         """Plausibility check of the estimates, with the count of rejected ones."""
         self.vehicle_file_check = VehicleFileCheck(MotionFit(vehicle))
@@ -240,10 +241,10 @@ class Controller:
         """
         applied = exact(applied)
         self._delay.add_receipt(applied)
-        self._prediction.add_report(applied)
+        self.prediction.add_report(applied)
         self.actuator_check.add(applied)
         self.vehicle_file_check.fit.add_thrust(applied.t_ns, applied.thrust_N)
-        self._prediction.sent.correct(applied.t_ns, applied.command_N)
+        self.prediction.sent.correct(applied.t_ns, applied.command_N)
 
     def add_timing(self, timing: CycleTiming) -> None:
         """Add the computing time of the last cycle: without receipts of plans the expected delay follows from it.
@@ -268,7 +269,7 @@ class Controller:
         estimate : where the prediction begins.
         t_ns : time of the state, vehicle time (ns).
         """
-        return self._prediction.state_at(exact(estimate), int(t_ns)).lateral[:6]
+        return self.prediction.state_at(exact(estimate), int(t_ns)).lateral[:6]
 
     def set_thrust_shares(self, shares: Pair, *, in_doubt: bool = False) -> None:
         """Plan from the next cycle on with lateral thrusters that deliver a share of what they report.
@@ -280,7 +281,7 @@ class Controller:
         """
         self.observer.thrust_in_doubt = in_doubt
         self._lateral.set_shares(shares)
-        self._prediction.set_shares(shares)
+        self.prediction.set_shares(shares)
 
     def health(self, t_ns: int) -> HealthState:
         """Return the health by estimates (age, uncertainty of the last prediction), actuators, vehicle file and target.
@@ -336,7 +337,7 @@ class Controller:
         """Return the plan of one cycle. May raise; ``plan`` catches it."""
         decision = self._decide(newest, now_ns, override, health)
         delay_ns = self._delay.expected_ns
-        start = self._prediction.state_at(decision.estimate, now_ns + delay_ns)
+        start = self.prediction.state_at(decision.estimate, now_ns + delay_ns)
         self.vehicle_file_check.fit.add_thrust(start.t_ns, start.thrust_N, reported=False)
         knots = start.t_ns + self._lateral.previous.knots_ns
         if self._lateral.fencing.predict_obstacles(start.t_ns):
@@ -407,7 +408,7 @@ class Controller:
         state, expected_ns = exact(state), 0
         if state.plan is not None:
             expected_ns = state.plan.expected_delay_ns
-            self._prediction.sent.add(state.plan, before_N=state.plan.initial_thrust_N)
+            self.prediction.sent.add(state.plan, before_N=state.plan.initial_thrust_N)
             self.actuator_check.sent(state.plan)
             self._lateral.previous.restore(state.plan)
         self._delay.restore(expected_ns, state.plan_delays_ns, state.cycle_times_ns)
@@ -445,14 +446,14 @@ class Controller:
             self._vertical.depth_limits.update(estimate)
             if check.learns:
                 self.vehicle_file_check.fit.update(estimate)
-            estimate = self.observer.correct(estimate, self._prediction, learns=check.learns)
-            self._prediction.coefficients[:] = self.observer.coefficients
+            estimate = self.observer.correct(estimate, self.prediction, learns=check.learns)
+            self.prediction.coefficients[:] = self.observer.coefficients
             bounded, in_waves = self.observer.is_bounded, self.observer.in_waves
             self.vehicle_file_check.update(estimate.t_ns, bounded=bounded, in_waves=in_waves)
         own = self.estimate_gate.health(now_ns)
         if estimate is not None and own.health is Health.DEGRADED:
             bias = self.observer.covariance_of_mean((now_ns - estimate.t_ns) * 1e-9)
-            growth = growth_m(self._prediction, estimate, now_ns, bias)
+            growth = growth_m(self.prediction, estimate, now_ns, bias)
             self.estimate_gate.limit_growth(growth)
             own = self.estimate_gate.health(now_ns)
         decision = decide(
@@ -481,7 +482,7 @@ class Controller:
             depth_reference = self.follower.depths(knots) if decision.follows else None
             if depth_reference is not None:
                 return law.track(start, decision.estimate, *depth_reference)
-        return law.keep(start, self._prediction.sent.at(knots)[:, 2])
+        return law.keep(start, self.prediction.sent.at(knots)[:, 2])
 
     def _plan_lateral(self, decision: Decision, start: Start, knots: Times) -> LateralPlan:
         """Return the lateral thrusters' plan in this mode.
@@ -552,7 +553,7 @@ class Controller:
 
     def _record(self, plan: Plan) -> None:
         """Record the plan as sent: its commands are in force from its first knot on."""
-        self._prediction.sent.add(plan)
+        self.prediction.sent.add(plan)
         self.actuator_check.sent(plan)
         self._lateral.previous.record(plan)
 
@@ -568,7 +569,7 @@ class Controller:
         knots = now_ns + delay_ns + self._lateral.previous.knots_ns
         command = np.zeros(3)
         with contextlib.suppress(Exception):
-            command = self._prediction.sent.at(knots[:1])[0]
+            command = self.prediction.sent.at(knots[:1])[0]
         states, fence = np.zeros((len(knots), 6)), None
         estimate = self.estimate_gate.accepted
         if estimate is not None:

@@ -119,7 +119,8 @@ class LateralPlanner:
         ----------
         start : the vehicle at the plan's start. Target and current are set before.
         """
-        limited = bool(np.isfinite(self._config.limits.state_bounds).any())
+        low, high = self._cycle.constants.low_state, self._cycle.constants.high_state
+        limited = bool(np.isfinite(low).any() or np.isfinite(high).any())
         self.fencing.bend(start.lateral[:2], self._cycle.lin.C[0], self.target, limited=limited)
 
     def relax_target(self, start: Start, radius_m: float) -> None:

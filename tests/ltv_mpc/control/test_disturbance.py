@@ -86,15 +86,13 @@ def test_no_offset_stays_where_a_profile_or_the_wind_contradicts_the_model(wrong
 
 def test_the_bias_survives_an_estimate_with_a_profile():
     """It is used again after that estimate, and is not updated across it."""
-    bias, vehicle = DisturbanceObserver(DEFAULT, PAPER), Prediction(PAPER)
-    estimate = msgspec.structs.replace(Estimate.at_rest(), velocity_north_mps=0.2)
-    for i in range(50):
-        bias.correct(msgspec.structs.replace(estimate, t_ns=i * 300_000_000), vehicle)
+    bias, last = drifting(0.3, 50, DEFAULT, velocity_north_mps=0.2)
     learned = bias.bias_mps.copy()
     assert learned[0] > 0.05
-    known = msgspec.structs.replace(estimate, t_ns=50 * 300_000_000, current=flat(WATER))
-    assert bias.correct(known, vehicle) is known
-    again = bias.correct(msgspec.structs.replace(estimate, t_ns=51 * 300_000_000), vehicle)
+    known = msgspec.structs.replace(last, t_ns=50 * 300_000_000, current=flat(WATER))
+    assert bias.correct(known, Prediction(PAPER)) is known
+    later = msgspec.structs.replace(last, t_ns=51 * 300_000_000, current=None)
+    again = bias.correct(later, Prediction(PAPER))
     assert again.current.north_mps[0] == learned[0]
 
 
@@ -138,12 +136,10 @@ def test_over_a_long_interval_the_bias_is_not_updated():
 @pytest.mark.parametrize(("sinks_m", "variance"), [(0.0, 9e-6 * 9.0), (2.0, 9e-6 * 9.0 + 4e-4 * 2.0)])
 def test_over_a_long_interval_the_bias_becomes_less_certain(sinks_m: float, variance: float):
     """By hand: a random walk of 3 mm/s per sqrt(s) over 9 s, and one of 2 cm/s per sqrt(m) over the change of depth."""
-    bias, vehicle = DisturbanceObserver(ON, PAPER), Prediction(PAPER)
-    estimate = msgspec.structs.replace(Estimate.at_rest(depth_m=5.0), velocity_north_mps=0.2)
-    for i in range(50):
-        bias.correct(msgspec.structs.replace(estimate, t_ns=i * 300_000_000), vehicle)
+    bias, last = drifting(0.3, 50, velocity_north_mps=0.2, depth_m=5.0)
     before, late_ns = bias.covariance, 49 * 300_000_000 + 9_000_000_000
-    bias.correct(msgspec.structs.replace(estimate, t_ns=late_ns, depth_m=5.0 + sinks_m), vehicle)
+    late = msgspec.structs.replace(last, t_ns=late_ns, depth_m=5.0 + sinks_m, current=None)
+    bias.correct(late, Prediction(PAPER))
     np.testing.assert_allclose(bias.covariance - before, variance * np.eye(2), rtol=1e-6, atol=1e-12)
 
 
@@ -205,10 +201,7 @@ def test_a_nan_velocity_is_ignored_and_the_bias_is_bounded():
     broken = msgspec.structs.replace(first, t_ns=300_000_000, velocity_north_mps=float("nan"))
     bias.correct(broken, vehicle)
     np.testing.assert_array_equal(bias.bias_mps, 0.0)
-    tight = DisturbanceObserver(Disturbance(sd_mps=0.1, max_mps=0.01), PAPER)
-    estimate = msgspec.structs.replace(first, velocity_north_mps=0.2)
-    for i in range(50):
-        tight.correct(msgspec.structs.replace(estimate, t_ns=i * 300_000_000), vehicle)
+    tight, _ = drifting(0.3, 50, Disturbance(sd_mps=0.1, max_mps=0.01), velocity_north_mps=0.2)
     assert tight.bias_mps[0] == 0.01
 
 
@@ -380,10 +373,7 @@ def test_waves_are_no_current_no_arm_and_no_other_vehicle_and_the_vehicle_yields
 
 
 def test_a_steady_course_shows_no_lever_arm():
-    observer, vehicle = DisturbanceObserver(DEFAULT, PAPER), Prediction(PAPER)
-    estimate = msgspec.structs.replace(Estimate.at_rest(), velocity_north_mps=0.2)
-    for k in range(100):
-        observer.correct(msgspec.structs.replace(estimate, t_ns=k * 300_000_000), vehicle)
+    observer, _ = drifting(0.3, 100, DEFAULT, velocity_north_mps=0.2)
     state = observer.save()
     mean, covariance = state.mean[2:4], state.covariance[2:4, 2:4]
     np.testing.assert_allclose(mean, 0.0, atol=1e-6)

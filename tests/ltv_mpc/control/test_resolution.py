@@ -10,7 +10,6 @@ import pytest
 from ltv_mpc import Controller, ControllerConfig, Vehicle, config, references
 from ltv_mpc.control.config import MotionLimits, WeightSettings
 from ltv_mpc.control.resolution import settled
-from ltv_mpc.control.scaling import default_weights
 from ltv_mpc.errors import ConfigError
 from services.run.run_config import Override, resolve
 from services.tools.vehicle_check import check
@@ -27,13 +26,6 @@ def test_controller_and_simulation_use_the_horizon_that_the_check_proposes(name:
     run_config = resolve("descent", [Override("test", [f"vehicle={name}"])])
     assert run_config.controller.horizon_s == proposed_s
     assert f"horizon {proposed_s:g} s" in run_config.notes[0]
-
-
-def test_a_given_horizon_and_a_given_weight_stay() -> None:
-    given = ControllerConfig(horizon_s=5.0, weights=WeightSettings(thrust=0.7))
-    found = settled(given, Vehicle.load("paper"))
-    assert (found.horizon_s, found.weights.thrust) == (5.0, 0.7)
-    assert found.weights.thrust_change == default_weights(Vehicle.load("paper")).thrust_change
 
 
 @pytest.mark.parametrize("name", SHIPPED)

@@ -75,7 +75,7 @@ def test_thrusts_above_a_limit_come_down_at_the_slew_limit() -> None:
     """It is soft: there is always a solution."""
     controller = Controller(PAPER, POINT, terms=[TotalThrust()])
     before = msgspec.structs.replace(Controller(PAPER, POINT).plan(Estimate.at_rest(depth_m=0.0)), cycle_t_ns=0)
-    controller._prediction.sent.add(before)
+    controller.prediction.sent.add(before)
     plan = controller.plan(Estimate.at_rest(depth_m=0.0), t_ns=1_200_000_000)
     total = np.abs(plan.thrust_N[:, :2].sum(axis=1))
     assert plan.origin is PlanOrigin.SOLVED
