@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from services.run import version as versions
+from services.run import provenance as versions
 from services.tools import doctor
 from tests.docs.pages import ROOT
 

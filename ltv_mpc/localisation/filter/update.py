@@ -126,10 +126,10 @@ def correct(belief: Belief, rows: Rows, gate: float, deweight_limit: float = 0.0
     L, info = dpotrf(inflated[used][:, used], lower=1)
     if info != 0:
         return Correction(np.zeros_like(accepted), S, False, np.zeros(n), 0)
-    # [W, Y, y] = L^-1 [H P, H E, z]. BLAS is column-major: it solves the transpose from the right, without a copy.
-    white = np.hstack([HP, H @ E[touched], z[:, None]])[used]
-    white = dtrsm(1.0, L, white.T, side=1, lower=1, trans_a=1, overwrite_b=1).T
-    W, Y, y = white[:, :n], white[:, n:-1], white[:, -1]
+    # [W, y] = L^-1 [H P, z] and Y = L^-1 H E, apart: how BLAS rounds one column depends on the number of columns, and W
+    # and y must be the same bits with any number of hypotheses.
+    white = _solve(L, np.hstack([HP, z[:, None]])[used])
+    W, y, Y = white[:, :n], white[:, n], _solve(L, (H @ E[touched])[used])
     error = y @ W
     belief.apply_error(error)
     a = heading_coupling(error, belief.layout)
@@ -137,3 +137,9 @@ def correct(belief: Belief, rows: Rows, gate: float, deweight_limit: float = 0.0
     signatures.update(W, Y, y)
     E += np.outer(a, E[HEADING])  # E := M E
     return Correction(accepted, S, True, error, int(np.count_nonzero(deweighted)))
+
+
+def _solve(L: Array, rows: Array) -> Array:
+    """Return L^-1 times ``rows``. BLAS is column-major: it solves the transpose from the right, without a copy."""
+    solved: Array = dtrsm(1.0, L, rows.T, side=1, lower=1, trans_a=1, overwrite_b=1).T
+    return solved

@@ -19,9 +19,10 @@ from ltv_mpc.geofence.fence import Fence
 from ltv_mpc.messages import Action, Applied, Command, Estimate, Health
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.edges.edge import Outgoing, Received, Refused
+from services.edges.mavlink.actuation import Overrides, channels, pwm_us
 from services.edges.mavlink.autopilot import Kind
 from services.edges.mavlink.codec import frames_of
-from services.edges.mavlink.edge import MavlinkEdge, Overrides, Settings, channels, pwm_us
+from services.edges.mavlink.edge import MavlinkEdge, Settings
 from services.edges.mavlink.lists import fence_of
 from services.edges.mavlink.navigation import Accuracy, Navigation
 from tests.foreign_plant.flight import farthest_m
