@@ -12,6 +12,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from typing import Any
 
 from ltv_mpc.safety.health import SECOND_SOURCE
@@ -45,17 +46,15 @@ def silence_us(period_ns: int) -> int:
     return min(max(SILENT_PERIODS * period_ns // 1000, MIN_SILENCE_US), MAX_SILENCE_US)
 
 
+@dataclass(slots=True)
 class _Source:
     """Last accepted header of a key and its arrival, the former epochs, and an unconfirmed header."""
 
-    __slots__ = ("epoch", "former", "received_us", "sequence", "unconfirmed")
-
-    def __init__(self, epoch: int, sequence: int, received_us: int) -> None:
-        self.epoch = epoch
-        self.sequence = sequence
-        self.received_us = received_us
-        self.former: dict[int, int] = {}  # last accepted sequence by epoch
-        self.unconfirmed: Header | None = None  # too far off to be accepted alone
+    epoch: int
+    sequence: int
+    received_us: int
+    former: dict[int, int] = field(default_factory=dict)  # last accepted sequence by epoch
+    unconfirmed: Header | None = None  # too far off to be accepted alone
 
 
 class SequenceCheck:

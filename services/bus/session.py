@@ -231,11 +231,7 @@ class Session:
 
     def receive(self, key: str, receiver: ForeignReceiver) -> None:
         """Pass what arrives on ``key`` to the receiver, with its attachment."""
-
-        def on_sample(sample: zenoh.Sample) -> None:
-            receiver(sample.payload.to_bytes(), _bytes(sample.attachment))
-
-        self._subscribe(key, on_sample)
+        self._subscribe(key, lambda sample: receiver(sample.payload.to_bytes(), _bytes(sample.attachment)))
 
     def _subscribe(self, key: str, on_sample: Callable[[zenoh.Sample], None]) -> None:
         callback = zenoh.handlers.Callback(on_sample, indirect=False)

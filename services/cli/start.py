@@ -245,7 +245,7 @@ def _compile(folder: RunFolder, request: StopRequest) -> int | None:
 def _run_processes(
     run_config: RunConfig, folder: RunFolder, as_json: bool, certs: Path | None, *, page: bool, open_browser: bool
 ) -> int:
-    from services.dashboard.config import About
+    from services.dashboard.config import About, Config
     from services.dashboard.sidecar import Sidecar
     from services.reporting.terminal import RunScreen
     from services.supervisor import supervisor
@@ -257,14 +257,8 @@ def _run_processes(
         report=str(folder.report),
         again=_again(folder.path, folder),
     )
-    sidecar = Sidecar(
-        screen.say,
-        folder=folder.path,
-        vehicle=folder.config("vehicle"),
-        about=about,
-        open_browser=open_browser,
-        waits=not as_json,
-    )
+    config = Config(vehicle=str(folder.config("vehicle")), about=about, open_browser=open_browser, of_a_run=True)
+    sidecar = Sidecar(screen.say, folder.path / "logs", config, waits=not as_json)
     try:
         outcome = supervisor.run(run_config, folder, screen, certs=certs, page=sidecar if page else None)
         if outcome.summary is None:

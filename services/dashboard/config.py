@@ -32,7 +32,7 @@ class About(msgspec.Struct, frozen=True, kw_only=True):
 class Config(msgspec.Struct, frozen=True, kw_only=True):
     """Configuration of the dashboard process."""
 
-    bus: BusOptions
+    bus: BusOptions = BusOptions()
     host: str = "127.0.0.1"
     port: int = 0  # 0 takes any free port
     vehicle: str | None = None  # NAME or FILE of the vehicle whose thrust limits are shown

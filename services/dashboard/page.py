@@ -164,7 +164,7 @@ async def _obey(socket: WebSocket, reader: Reader, commands: _Commands) -> None:
         while True:
             reply = await _reply(await socket.receive_text(), reader, commands)
             if reply is not None:
-                reader.put(msgspec.json.encode(reply).decode())
+                reader.send(msgspec.json.encode(reply).decode())
 
 
 async def _reply(text: str, reader: Reader, commands: _Commands) -> ButtonReply | None:

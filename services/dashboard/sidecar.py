@@ -14,7 +14,7 @@ import msgspec
 
 from services.bus.options import BusOptions
 from services.bus.topics import OPERATOR
-from services.dashboard.config import SERVER, About, Config, View
+from services.dashboard.config import SERVER, Config, View
 from services.runtime.stopping import Say
 from services.supervisor import entry_point
 from services.supervisor.entry_point import write_config
@@ -31,14 +31,8 @@ class Sidecar:
     Start it from the main thread: the process ends with the thread that started it.
     """
 
-    def __init__(self, say: Say, *, folder: Path, vehicle: Path, about: About, open_browser: bool, waits: bool) -> None:
-        self._say = say
-        self._log = folder / "logs" / "dashboard.log"
-        self._config = folder / "logs" / "dashboard.json"
-        self._vehicle = vehicle
-        self._about = about
-        self._open_browser = open_browser
-        self._waits = waits
+    def __init__(self, say: Say, logs: Path, config: Config, *, waits: bool) -> None:
+        self._say, self._logs, self._config, self._waits = say, logs, config, waits
         self._view: str = View.CLOSED
         self._changed = threading.Condition()  # of the view
         self._shown = ""
@@ -50,19 +44,11 @@ class Sidecar:
         if missing is not None:
             self._say(f"no live page: {missing} is not installed: pip install {missing} (extra viz)")
             return
-        write_config(
-            self._config,
-            Config(
-                bus=msgspec.structs.replace(bus, role=OPERATOR),
-                vehicle=str(self._vehicle),
-                about=self._about,
-                open_browser=self._open_browser,
-                of_a_run=True,
-            ),
-        )
-        with self._log.open("wb") as log:
+        path = self._logs / "dashboard.json"
+        write_config(path, msgspec.structs.replace(self._config, bus=msgspec.structs.replace(bus, role=OPERATOR)))
+        with path.with_suffix(".log").open("wb") as log:
             self._process = subprocess.Popen(
-                [sys.executable, "-P", "-m", entry_point.__name__, str(os.getpid()), SERVER, str(self._config)],
+                [sys.executable, "-P", "-m", entry_point.__name__, str(os.getpid()), SERVER, str(path)],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=log,

@@ -28,11 +28,11 @@ MAX_READERS = 32
 MAX_WAITING = 100
 
 
-class Reader:
+class Reader(asyncio.Queue[str]):
     """Queue of texts for one browser."""
 
     def __init__(self) -> None:
-        self._texts: asyncio.Queue[str] = asyncio.Queue(MAX_BACKLOG)
+        super().__init__(MAX_BACKLOG)
         self.behind = True
         """True if the next text must be the complete state."""
         self.has_report = False
@@ -41,23 +41,14 @@ class Reader:
         """True once a command of the browser had the token."""
         self.evicted = asyncio.Event()
 
-    @property
-    def idle(self) -> bool:
-        """True if the browser has taken all texts."""
-        return self._texts.empty()
-
-    def put(self, text: str) -> None:
+    def send(self, text: str) -> None:
         """Queue a text; if the queue is full, drop all texts and mark the browser as behind."""
-        if self._texts.full():
-            self.behind = True
-            while not self._texts.empty():
-                self._texts.get_nowait()
+        if not self.full():
+            self.put_nowait(text)
             return
-        self._texts.put_nowait(text)
-
-    async def get(self) -> str:
-        """Wait for the next text and return it."""
-        return await self._texts.get()
+        self.behind = True
+        while not self.empty():
+            self.get_nowait()
 
 
 class Stream:
@@ -103,11 +94,11 @@ class Stream:
         whole = ""
         for reader in self.readers:
             if not reader.behind:
-                reader.put(tick)
-            elif reader.idle:
+                reader.send(tick)
+            elif reader.empty():  # it has taken all texts
                 whole = whole or _text("whole", self._whole())
                 reader.behind = False
-                reader.put(whole)
+                reader.send(whole)
 
     def _new(self) -> dict[str, Any]:
         collector = self._feed.collector

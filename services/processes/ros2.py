@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 import msgspec
 
@@ -90,10 +91,7 @@ class RosLink:
     def __init__(
         self, session: Session, middleware: Bridge | RmwZenoh, rows: tuple[Row, ...], mailbox: Mailbox
     ) -> None:
-        self._attaches = middleware.attaches
-        self._publishers: dict[str, Publisher] = {}
-        self._gids: dict[str, bytes] = {}
-        self._sequences: dict[str, int] = {}
+        self._senders: dict[str, Callable[[bytes], None]] = {}
         self._replies: dict[str, tuple[Reply, bytes]] = {}
         self._mailbox = mailbox
         self._requests = 0
@@ -102,9 +100,8 @@ class RosLink:
         for at, row in enumerate(rows, start=1):
             key = middleware.key(row)
             if row.direction is OUT:
-                declare = session.latched_publisher if row.latched and self._attaches else session.publisher
-                self._publishers[row.name] = declare(key)
-                self._gids[row.name] = gid_of(tokens[at]) if tokens else b""
+                declare = session.latched_publisher if row.latched and tokens else session.publisher
+                self._senders[row.name] = _sender(declare(key), gid_of(tokens[at]) if tokens else b"")
             elif row.direction is IN:
                 session.receive(key, self._receiver(row.name))
             else:
@@ -117,14 +114,8 @@ class RosLink:
         if frame.channel in self._replies:
             reply, attachment = self._replies.pop(frame.channel)
             reply(frame.payload, _answer(attachment))
-        elif (publisher := self._publishers.get(frame.channel)) is not None:
-            publisher.put(frame.payload, attachment=self._attachment(frame.channel))
-
-    def _attachment(self, name: str) -> bytes | None:
-        if not self._attaches:
-            return None
-        sequence = self._sequences[name] = self._sequences.get(name, 0) + 1
-        return Attachment(sequence, time.time_ns(), self._gids[name]).pack()
+        elif (send := self._senders.get(frame.channel)) is not None:
+            send(frame.payload)
 
     def _receiver(self, name: str) -> ForeignReceiver:
         def on_sample(payload: bytes, attachment: bytes) -> None:
@@ -145,6 +136,17 @@ class RosLink:
             self._mailbox.offer(None, channel, payload, attachment)
 
         return on_query
+
+
+def _sender(publisher: Publisher, gid: bytes) -> Callable[[bytes], None]:
+    """Return the function that publishes; with a gid each message has an attachment with the next number."""
+    numbers = itertools.count(1)
+
+    def send(payload: bytes) -> None:
+        attachment = Attachment(next(numbers), time.time_ns(), gid).pack() if gid else None
+        publisher.put(payload, attachment=attachment)
+
+    return send
 
 
 def _answer(attachment: bytes) -> bytes | None:

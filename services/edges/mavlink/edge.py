@@ -38,6 +38,7 @@ INTERVALS_US = {"SYSTEM_TIME": (2, 1_000_000), "ATTITUDE": (30, 50_000), "LOCAL_
 
 OF_MISSION = ("GPS_GLOBAL_ORIGIN", "MISSION_COUNT", "MISSION_ITEM_INT", "MISSION_ACK", "MISSION_CURRENT", "STATUSTEXT")
 
+SPEED_MPS = 0.5  # on a mission that sets none
 SECOND_US = 1_000_000
 SILENT_US = 3_000_000
 REQUESTS = 2  # of the time, unanswered, after which another sender is asked too
@@ -53,7 +54,6 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
     vehicle: Vehicle
     ground_station: int = 255  # system number of the ground station, which the autopilot obeys
     accuracy: Accuracy = Accuracy()
-    speed_mps: float = 0.5  # on a mission that sets none
     follow_mission: bool = True
 
 
@@ -75,7 +75,7 @@ class MavlinkEdge(Edge):
         self.navigation = Navigation(settings.accuracy, dives=dives)
         self.overrides = Overrides(settings.vehicle)
         self._applied = AppliedReporter(settings.vehicle)
-        self._mission = MissionFollower(settings.speed_mps, self.command_id, dives=dives)
+        self._mission = MissionFollower(SPEED_MPS, self.command_id, dives=dives)
         self._numbers = LossCounter(256)
         self._seen_us: dict[str, int] = {}
         self._asked_us = -SECOND_US

@@ -95,10 +95,7 @@ class Navigation:
     def attitude(self, message: Any) -> Iterator[Estimate]:
         """Add an ATTITUDE; yield the estimates that waited for it. Raises ``Refused``."""
         roll, pitch, yaw, q, r = _finite(message.roll, message.pitch, message.yaw, message.pitchspeed, message.yawspeed)
-        if abs(pitch) > 1.4:
-            raise Refused(f"pitch = {pitch:.2f} rad: the heading is not defined")
-        rate = (q * math.sin(roll) + r * math.cos(roll)) / math.cos(pitch)
-        sample = _Attitude(message.time_boot_ms, wrapped(yaw), rate)
+        sample = _Attitude(message.time_boot_ms, wrapped(yaw), _heading_rate(roll, pitch, q, r))
         if self._attitudes and not self._in_order(sample.ms, self._attitudes[-1].ms):
             return iter(())
         if self._attitudes:
@@ -141,12 +138,10 @@ class Navigation:
         )
         R = rotation(*_finite(*message.q))
         roll, pitch = math.atan2(R[2, 1], R[2, 2]), -math.asin(max(-1.0, min(1.0, R[2, 0])))
-        if abs(pitch) > 1.4:
-            raise Refused(f"pitch = {pitch:.2f} rad: the heading is not defined")
+        rate = _heading_rate(roll, pitch, q, r)
         velocity, rates = R @ (u, v, w), R @ (*_finite(message.rollspeed), q, r)
         sample = _Position(message.time_usec // 1000, (x, y, z), (velocity[0], velocity[1], velocity[2]))
         heading = math.atan2(R[1, 0], R[0, 0])
-        rate = (q * math.sin(roll) + r * math.cos(roll)) / math.cos(pitch)
         estimate = self._estimate(sample, heading, rate, message.time_usec * 1000)
         pose, twist = _matrix("pose", message.pose_covariance), _matrix("velocity", message.velocity_covariance)
         if pose is not None or twist is not None:
@@ -210,6 +205,13 @@ class Navigation:
             velocity_down_mps=v_down if self._dives else None,
             covariance=self._accuracy.covariance,
         )
+
+
+def _heading_rate(roll: float, pitch: float, q: float, r: float) -> float:
+    """Return the heading rate (rad/s) of body rates. Raises ``Refused`` where the heading is not defined."""
+    if abs(pitch) > 1.4:
+        raise Refused(f"pitch = {pitch:.2f} rad: the heading is not defined")
+    return (q * math.sin(roll) + r * math.cos(roll)) / math.cos(pitch)
 
 
 def _finite(*values: float) -> tuple[float, ...]:

@@ -43,6 +43,8 @@ PAIR_NS = 200_000_000
 
 MILLION = 1_000_000_000
 
+FRAME, CHILD_FRAME = "odom", "base_link"
+
 
 class Settings(msgspec.Struct, frozen=True, kw_only=True):
     """Settings of the edge to ROS 2."""
@@ -51,8 +53,6 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
     speed_mps: float = 0.5  # on a path, which has no speed of its own
     array: str = ""  # order of one Float64MultiArray, such as "port,starboard"; empty: a Float64 for each thruster
     scale: float = 1.0  # of that array, per N
-    frame: str = "odom"
-    child_frame: str = "base_link"
 
 
 # --- in --------------------------------------------------------------------------------------------------------------
@@ -134,16 +134,16 @@ def thrust_messages(thrust_N: Array, t_ns: int, settings: Settings) -> dict[str,
         "force": {"x": port + starboard, "z": -vertical},
         "torque": {"z": of.starboard.arm_m * starboard - of.port.arm_m * port},
     }
-    stamped = make("geometry_msgs/msg/WrenchStamped", header=header(t_ns, settings.child_frame), wrench=wrench)
+    stamped = make("geometry_msgs/msg/WrenchStamped", header=header(t_ns, CHILD_FRAME), wrench=wrench)
     return messages | {"wrench": stamped}
 
 
-def path_of(plan: Plan, settings: Settings) -> Any:
+def path_of(plan: Plan) -> Any:
     """Return the predicted positions and headings of a plan as nav_msgs/Path, at the depth 0."""
     yaw = 0.5 * (math.pi / 2.0 - plan.states[:, 4])
     poses = [
         {
-            "header": header(t_ns, settings.frame),
+            "header": header(t_ns, FRAME),
             "pose": {"position": {"x": east_m, "y": north_m}, "orientation": {"z": z, "w": w}},
         }
         for t_ns, (north_m, east_m), z, w in zip(
@@ -201,7 +201,7 @@ def _of_fence(fence: FenceReport, zones: dict[str, str]) -> tuple[int, str]:
 CURRENT_FIELDS = ("x", "y", "z", "east_mps", "north_mps", "sd_mps")
 
 
-def cloud_of(estimate: Estimate, profile: CurrentProfile, settings: Settings) -> Any:
+def cloud_of(estimate: Estimate, profile: CurrentProfile) -> Any:
     """Return the velocity of the water below the vehicle as PointCloud2, a point for each depth."""
     points = np.full((len(profile.depth_m), len(CURRENT_FIELDS)), np.nan, dtype="<f4")
     points[:, 0], points[:, 1], points[:, 2] = estimate.east_m, estimate.north_m, -profile.depth_m
@@ -211,7 +211,7 @@ def cloud_of(estimate: Estimate, profile: CurrentProfile, settings: Settings) ->
     fields = [{"name": name, "offset": 4 * at, "datatype": 7, "count": 1} for at, name in enumerate(CURRENT_FIELDS)]
     return make(
         "sensor_msgs/msg/PointCloud2",
-        header=header(estimate.t_ns, settings.frame),
+        header=header(estimate.t_ns, FRAME),
         height=1,
         width=len(points),
         fields=fields,
@@ -235,7 +235,7 @@ KEEP_IN, KEEP_OUT, OBSTACLE = (
 """Colours: red, green, blue, opacity."""
 
 
-def zones_of(fence: FenceInForce, settings: Settings) -> Any:
+def zones_of(fence: FenceInForce) -> Any:
     """Return zones and obstacles as visualization_msgs/MarkerArray; its first marker removes those of the array before.
 
     An obstacle is where it is predicted at the time of the message. The text of a marker is the label of its zone.
@@ -249,7 +249,7 @@ def zones_of(fence: FenceInForce, settings: Settings) -> Any:
         shape = _cylinder(predicted_m(obstacle, fence.t_ns), obstacle.radius_m)
         markers.append(shape | {"ns": "obstacles", "text": f"obstacle {obstacle.id}", "color": OBSTACLE})
     for at, marker in enumerate(markers):
-        marker |= {"id": at, "header": header(fence.t_ns, settings.frame)}
+        marker |= {"id": at, "header": header(fence.t_ns, FRAME)}
     return make("visualization_msgs/msg/MarkerArray", markers=markers)
 
 
@@ -268,8 +268,8 @@ def reference_point_of(settings: Settings) -> Any:
     """Return the static transform from the reference point, which the odometry gives, to the vehicle's origin."""
     at = settings.vehicle.reference_point
     stamped = {
-        "header": header(0, settings.child_frame),
-        "child_frame_id": f"{settings.child_frame}_origin",
+        "header": header(0, CHILD_FRAME),
+        "child_frame_id": f"{CHILD_FRAME}_origin",
         "transform": {
             "translation": {"x": -at.forward_m, "y": at.starboard_m, "z": at.down_m},
             "rotation": {"w": 1.0},

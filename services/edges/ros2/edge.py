@@ -112,7 +112,7 @@ class Ros2Edge(Edge):
         match message:
             case Plan():
                 self._fence = message.fence
-                return [_frame("path", conversions.path_of(message, self._settings))]
+                return [_frame("path", conversions.path_of(message))]
             case Acknowledgement() if message.command_id in self._requests:
                 channel, _ = self._requests.pop(message.command_id)
                 return [_reply(channel, message.accepted, message.why or message.authority.value)]
@@ -125,10 +125,10 @@ class Ros2Edge(Edge):
                 array = conversions.diagnostics_of(message, self._fence, refused, t_ns, self._settings)
                 return [_frame("diagnostics", array)]
             case FenceInForce():
-                return [_frame("zones", conversions.zones_of(message, self._settings))]
+                return [_frame("zones", conversions.zones_of(message))]
             case Estimate(current=CurrentProfile() as profile) if now_us >= self._water_us + WATER_US:
                 self._water_us = now_us
-                return [_frame("water", conversions.cloud_of(message, profile, self._settings))]
+                return [_frame("water", conversions.cloud_of(message, profile))]
         return []
 
     def step(self, now_us: int) -> Iterable[Output]:

@@ -52,8 +52,6 @@ class Attachment(NamedTuple):
 class Bridge:
     """Names of zenoh-plugin-ros2dds."""
 
-    attaches = False
-
     def key(self, row: Row) -> str:
         """Return the key of a row."""
         return row.topic.removeprefix("/")
@@ -64,9 +62,7 @@ class Bridge:
 
 
 class RmwZenoh:
-    """Names of rmw_zenoh in one domain."""
-
-    attaches = True
+    """Names of rmw_zenoh in one domain. Its messages have attachments."""
 
     def __init__(self, domain: int) -> None:
         self._domain = domain

@@ -14,7 +14,7 @@ from websockets.sync.client import connect
 
 from services.bus.options import BusOptions
 from services.bus.session import open_session
-from services.dashboard.config import About
+from services.dashboard.config import About, Config
 from services.dashboard.serve import NICE
 from services.dashboard.sidecar import Sidecar
 from services.recording.node_settings import VEHICLE as VEHICLE_FILE
@@ -28,8 +28,8 @@ def page_of(folder: Path, *, waits: bool = True) -> tuple[Sidecar, list[str]]:
     vehicle = folder / VEHICLE_FILE
     vehicle.parent.mkdir()
     vehicle.write_text(synthetic_run.VEHICLE)
-    about = About(report=str(folder / "report.html"))
-    return Sidecar(said.append, folder=folder, vehicle=vehicle, about=about, open_browser=False, waits=waits), said
+    config = Config(vehicle=str(vehicle), about=About(report=str(folder / "report.html")), of_a_run=True)
+    return Sidecar(said.append, folder / "logs", config, waits=waits), said
 
 
 def gives_way(pid: int) -> None:
