@@ -280,6 +280,7 @@ class RecordingLoop:
         if kind is StepRecord and not (refused or resumes) and self._losses.begins_late(frame.key, header.epoch):
             self._say(BEGAN_BEFORE.format(plain_map.get("node")))
         self._status.on_delivery(header.sent_monotonic_us, frame.received_monotonic_us, monotonic_us())
-        named = message is not None and message.node in NODES and frame.key == key_of(NodeStatus, message.node)
-        if isinstance(message, NodeStatus) and message.finished and named and not refused:
+        if not isinstance(message, NodeStatus) or not message.finished or refused:
+            return
+        if message.node in NODES and frame.key == key_of(NodeStatus, message.node):
             self._losses.set_published(header.epoch, message.node, message.published)
