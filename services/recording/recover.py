@@ -12,15 +12,14 @@ import itertools
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 import msgspec
 from mcap.records import Channel, Message, Metadata, Schema
-from mcap.writer import CompressionType, Writer
 
 from ltv_mpc.errors import ConfigError
 from services.recording.records import Loss, Records, start_of
-from services.recording.writer import CHUNK_BYTES, LIBRARY, PROFILE, RUN
+from services.recording.writer import RUN, open_mcap
 
 RECOVERY = "recovery"
 """Name of the metadata record."""
@@ -127,14 +126,12 @@ class _Copy:
     """Copy of segments into one file, with each schema and channel once, whatever ids the segments gave them."""
 
     def __init__(self, file: BinaryIO) -> None:
-        # Any: the package leaves the types of some of its methods out.
-        self._mcap: Any = Writer(file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+        self._mcap = open_mcap(file)
         self._schemas: dict[tuple[str, str, bytes], int] = {}
         self._channels: dict[str, int] = {}
         self._start_ns: int | None = None
 
     def run(self, parts: Sequence[Path], out: Path) -> Recovery:
-        self._mcap.start(PROFILE, LIBRARY)
         recovered = tuple(self._segment(Records(path)) for path in parts)
         recovery = Recovery(
             file=str(out),

@@ -18,7 +18,7 @@ import os
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import msgspec
 from mcap.writer import CompressionType, Writer
@@ -38,6 +38,13 @@ ENDED = "ended"
 """Kind of the supervisor's event that says why a run ended early."""
 
 
+def open_mcap(file: BinaryIO) -> Any:  # Any: the package does not annotate all of its methods
+    """Return the started MCAP writer of a recording."""
+    writer = Writer(file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+    writer.start(PROFILE, LIBRARY)
+    return writer
+
+
 class RunWriter:
     """Writer of one file; a context manager. ``flush_s``: longest interval between flushes; None: by size alone."""
 
@@ -50,10 +57,8 @@ class RunWriter:
         self._channels: dict[str, int] = {}
         self._schemas: dict[type[Message], int] = {}
         self.file = path.open("wb")
-        # Any: the package does not annotate all of its methods.
-        self._mcap: Any = Writer(self.file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
         try:
-            self._mcap.start(PROFILE, LIBRARY)
+            self._mcap = open_mcap(self.file)
             self._mcap.add_metadata(RUN, {"start_ns": str(start_ns), **metadata})
             self.flush()
         except OSError:  # a full disk

@@ -93,11 +93,6 @@ class Epoch:
         self._steps: dict[int, tuple[int, RecordedStep]] = {}  # in waiting, with the position of the record
         self._next = 0
 
-    @property
-    def waits(self) -> bool:
-        """True while steps wait for their turn."""
-        return bool(self._steps)
-
     def take(self, record: StepRecord, at: int) -> None:
         """Add a record of the file. A duplicate counts once."""
         self.last_at = at
@@ -212,8 +207,7 @@ class NodeReplay:
         if table_key(stored.key) in self.reads:
             self._frames.add(stored, header, at)
             for epoch in self._open:
-                if epoch.waits:
-                    epoch.advance(at)
+                epoch.advance(at)
         if stored.key in self.writes and header.epoch in self.epochs:
             self.epochs[header.epoch].outcome.add_recorded(stored, header)
 

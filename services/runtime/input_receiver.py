@@ -10,13 +10,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ltv_mpc.messages import (
     Action,
-    Clock,
     ClockCommand,
     ClockStep,
     Command,
     Heartbeat,
     InboxEntry,
-    Message,
     NodeStatus,
     RejectedFrame,
     RunEvent,
@@ -95,11 +93,15 @@ class InputReceiver:
         shift_ns = time.sync.shift_ns(header.epoch, received_us)
         message = shifted(message, shift_ns)
         kind = type(message)
-        self._status.waiting.on_input(kind)
-        self._status.on_delivery(header.sent_monotonic_us, received_us, monotonic_us())
+        now_us = monotonic_us()
+        self._status.waiting.on_input(kind, now_us)
+        self._status.on_delivery(header.sent_monotonic_us, received_us, now_us)
         if self._report is not None:
             self._report.on_input(message)
-        self._pass_to_clock(message)
+        if time.master is not None and isinstance(message, NodeStatus):
+            time.master.on_status(message, now_us)
+        elif time.master is not None and isinstance(message, ClockCommand):
+            time.master.on_command(message, now_us)
         if kind not in self._node.reads:
             return None
         entry = InboxEntry(
@@ -127,15 +129,6 @@ class InputReceiver:
                 self._io.publish_to_self(step, now_ns)
             if self._report is not None:
                 self._report.on_input(step)
-
-    def _pass_to_clock(self, message: Message) -> None:
-        time = self._time
-        if isinstance(message, Clock):
-            self._status.waiting.on_clock(monotonic_us())
-        elif time.master is not None and isinstance(message, NodeStatus):
-            time.master.on_status(message, monotonic_us())
-        elif time.master is not None and isinstance(message, ClockCommand):
-            time.master.on_command(message, monotonic_us())
 
     def _reject(self, frame: Frame, reason: str) -> None:
         now_ns = self._time.now_ns(frame.received_monotonic_us)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import Protocol
 
-from ltv_mpc.messages import Battery, ClockState, Leak, Message, NodeStatus
+from ltv_mpc.messages import Battery, Clock, ClockState, Leak, Message, NodeStatus
 from services.bus.mailbox import Mailbox
 from services.bus.outbox import Outbox
 from services.bus.topics import BY_TYPE, OPERATOR
@@ -73,13 +73,11 @@ class WaitingFor:
         )
         self._clock_received_us: int | None = None
 
-    def on_input(self, kind: type[Message]) -> None:
-        """Note an input of this type."""
+    def on_input(self, kind: type[Message], now_us: int) -> None:
+        """Note an input of this type, or a clock announcement."""
         self._missing.pop(kind, None)
-
-    def on_clock(self, now_us: int) -> None:
-        """Note a clock announcement."""
-        self._clock_received_us = now_us
+        if kind is Clock:
+            self._clock_received_us = now_us
 
     def text(self, now_us: int) -> str:
         """Return what the process waits for; empty if for nothing."""

@@ -62,14 +62,14 @@ class PublicationTime:
 
     def __init__(self, *, start_ns: int | None, say: Say) -> None:
         self.clock = VehicleClock()
-        self._start_ns = start_ns
+        self.start_ns = start_ns
         self._sync = ClockSync(self.clock, epoch=0)  # a recorder publishes no plans
         self._say = say
 
     @property
     def known(self) -> bool:
         """True once messages can be dated."""
-        return self._start_ns is not None or self.clock.newest is not None
+        return self.start_ns is not None or self.clock.newest is not None
 
     def add(self, message: Message, epoch: int, received_us: int) -> None:
         """Add an announced clock, or a message with a stamp of the publisher ``epoch``.
@@ -92,7 +92,7 @@ class PublicationTime:
         """
         newest = self.clock.newest
         if newest is None:
-            return self._start_ns
+            return self.start_ns
         if not self._sync.active:
             return self.clock.at(min(sent_us, received_us))
         return newest.vehicle_ns + (received_us - newest.at_us) * 1000  # also before the newest stamp
@@ -114,13 +114,12 @@ class RecordingLoop:
     def __init__(self, writer: SegmentWriter, *, start_ns: int | None, say: Say) -> None:
         self._writer = writer
         self._say = say
-        self._beside_vehicle = start_ns is None
         self.mailbox = Mailbox()
         self._time = PublicationTime(start_ns=start_ns, say=say)
         self._waiting: list[tuple[Frame, dict[str, Any], Header]] = []  # unpacked
         self._unknown_keys = RateLimit()
         # In a simulation only a restarted recorder begins after the others.
-        self._acceptance = Acceptance(late=writer.resumes or self._beside_vehicle)
+        self._acceptance = Acceptance(late=writer.resumes or start_ns is None)
         self._losses = self._acceptance.losses
         self.received = 0
         self.rejected = 0
@@ -142,7 +141,7 @@ class RecordingLoop:
                 outbox=self._out,
                 counts=self,
                 mailbox=self.mailbox,
-                waiting=WaitingFor(self._time.clock, (), from_inputs=self._beside_vehicle),
+                waiting=WaitingFor(self._time.clock, (), from_inputs=self._time.start_ns is None),
                 say=self._say,
             )
             session.subscribe("**", None, self.mailbox)
@@ -280,6 +279,7 @@ class RecordingLoop:
         if kind is StepRecord and not (refused or resumes) and self._losses.begins_late(frame.key, header.epoch):
             self._say(BEGAN_BEFORE.format(plain_map.get("node")))
         self._status.on_delivery(header.sent_monotonic_us, frame.received_monotonic_us, monotonic_us())
-        named = message is not None and message.node in NODES and frame.key == key_of(NodeStatus, message.node)
-        if isinstance(message, NodeStatus) and message.finished and named and not refused:
+        if not isinstance(message, NodeStatus) or not message.finished or refused:
+            return
+        if message.node in NODES and frame.key == key_of(NodeStatus, message.node):
             self._losses.set_published(header.epoch, message.node, message.published)

@@ -78,14 +78,6 @@ messages published before the request may still be on their way."""
 
 
 @runtime_checkable
-class NavigatedNode(Protocol):
-    """Node that uses the estimates of one of several sources; None before the first."""
-
-    @property
-    def active_source(self) -> Source | None: ...
-
-
-@runtime_checkable
 class WaitingNode(Protocol):
     """Node that names the inputs it needs before its first output; empty once it has them."""
 
@@ -120,7 +112,6 @@ class Runner:
         self._report, self._settings = report, settings
         self._settings_due_us = 0
         self._time = ProcessTime(node, clock, epoch=new_epoch(), publish=lambda message: self._io.publish(message))
-        self._navigated = node if isinstance(node, NavigatedNode) else None
         self._source: Source | None = None  # of the estimates in use
         self._duties: list[tuple[Callable[[], int | None], Callable[[int], None]]] = []
         """Periodic duties: when each is due (monotonic µs; None: never), and what does it and sets its next time.
@@ -294,8 +285,7 @@ class Runner:
         self._stopwatch.start()
         if status.steps == 0:
             self._settings_due_us = 0  # a recorder that receives the first step can replay the node
-        if self._navigated is not None:
-            self._follow_source(self._navigated.active_source, t_ns)
+        self._follow_source(getattr(self._node, "active_source", None), t_ns)
         self._io.shift_ns = self._time.sync.published_shift_ns
         if status.steps == 0:
             own_clock = self._time.sync.offset(due_us).mode is not ClockMode.SHARED
@@ -321,7 +311,10 @@ class Runner:
                 self._io.publish(event)
 
     def _follow_source(self, source: Source | None, t_ns: int) -> None:
-        """Publish a change of the source of the estimates in the last step, and follow its clock."""
+        """Publish a change of the source of the estimates in the last step, and follow its clock.
+
+        None: of a node that uses no estimates, or before the first.
+        """
         if source is None or source == self._source:
             return
         before, self._source = self._source, source
