@@ -30,7 +30,7 @@ from ltv_mpc.vehicle.flow import lag_weights
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
 from ltv_mpc.vehicle.propulsion import revolutions, thrust
 from sim.scenario import Mismatch
-from sim.water.column import WaterSample, gradient_at, velocity_at
+from sim.water.column import WaterSample, water_at
 
 NO_MISMATCH = Mismatch()
 
@@ -192,11 +192,10 @@ def _slope(true: Body, s: State, n: Triple, held: bool, water: WaterSample) -> S
     _, _, u, v, psi, r, z, w = s
     F1, F2, F3 = _thrusts(true, n, u, w)
     f1, f2, f3 = true.factors
-    cn, ce = velocity_at(z, water)
     # c' = dc/dz w: the change of the water's velocity as the vehicle sinks through it
-    shear = gradient_at(z, water)
+    cn, ce, shear_north, shear_east = water_at(z, water)
     north, east, surge, sway, heading, yaw = rates(
-        u, v, psi, r, f1 * F1, f2 * F2, cn, ce, shear[0] * w, shear[1] * w, true.p
+        u, v, psi, r, f1 * F1, f2 * F2, cn, ce, shear_north * w, shear_east * w, true.p
     )
     heave = heave_acceleration(w, f3 * F3, true.p)
     if held or (z <= 0.0 and w <= 0.0 and heave < 0.0):

@@ -50,7 +50,7 @@ from sim.random_streams import Stream, generator
 from sim.scenario import SURFACED_M, Actuators, Scenario
 from sim.scenario import Wind as Settings
 from sim.water import WaterColumn
-from sim.water.column import SAMPLE_PERIOD_NS, WaterSample, WaterWindow, velocity_at
+from sim.water.column import SAMPLE_PERIOD_NS, WaterSample, WaterWindow, water_at
 
 PERIOD_NS = 50_000_000
 """Time between two steps of the node, because a wake-up costs more than a step of the simulation."""
@@ -288,7 +288,7 @@ def observe(out: Array, vehicle: MotionState, factors: Triple, t: float, tilt: T
     """
     s = vehicle.s
     copy_to(out[:8], s)
-    cn, ce = velocity_at(s[6], water)
+    cn, ce, _, _ = water_at(s[6], water)
     # [n', e'] = R(psi) [u, v] + c(z)
     cos, sin = math.cos(s[4]), math.sin(s[4])
     out[8], out[9] = cos * s[2] - sin * s[3] + cn, sin * s[2] + cos * s[3] + ce

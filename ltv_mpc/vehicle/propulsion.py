@@ -59,11 +59,9 @@ def revolutions(F: float, inflow: float, rho: float, d: float) -> float:
     b = INFLOW_COEFFICIENT * inflow * rho * d**3
     if F == 0.0:
         return 0.0
-    if F > 0.0:
-        # n > 0: a n^2 - b n - F = 0 has one positive root
-        return (b + math.sqrt(b * b + 4.0 * a * F)) / (2.0 * a)
-    # n < 0: with m = -n > 0: -a m^2 - b m - F = 0, a m^2 + b m - |F| = 0 has one positive root
-    return -(-b + math.sqrt(b * b + 4.0 * a * -F)) / (2.0 * a)
+    # with m = |n| and the sign s of n and F: a m^2 - s b m - |F| = 0 has one positive root
+    s = math.copysign(1.0, F)
+    return s * (s * b + math.sqrt(b * b + 4.0 * a * abs(F))) / (2.0 * a)
 
 
 def shaft_power_W(thrust_N: Array, inflow_mps: Array, thruster: Thruster, water_density_kgpm3: float) -> Array:

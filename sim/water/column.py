@@ -169,11 +169,11 @@ class WaterColumn:
 
     def at(self, depth_m: float, t_ns: int) -> Pair:
         """Return the velocity north and east (m/s) at one depth."""
-        return velocity_at(depth_m, self.sample(t_ns))
+        return water_at(depth_m, self.sample(t_ns))[:2]
 
     def gradient(self, depth_m: float, t_ns: int) -> Pair:
         """Return dc/dz (1/s), north and east: 0 beyond both ends; at a grid point the gradient just below it."""
-        return gradient_at(depth_m, self.sample(t_ns))
+        return water_at(depth_m, self.sample(t_ns))[2:]
 
     def over(self, depths_m: Array, t_ns: int) -> Array:
         """Return the velocities (m/s) at depths (J,), shape (J, 2)."""
@@ -187,51 +187,39 @@ class WaterColumn:
 
 
 @jit
-def velocity_at(depth: float, water: WaterSample) -> Pair:
-    """Return the velocity (m/s), north and east, at a depth: linear interpolation in depth and in time."""
+def water_at(depth: float, water: WaterSample) -> tuple[float, float, float, float]:
+    """Return the velocity (m/s) and its gradient dc/dz (1/s) at a depth, north and east each.
+
+    The velocity is linear in depth and in time. Beyond both ends the gradient is 0, but for that of the waves; at a
+    grid point it is the one just below.
+    """
     depths, earlier, later, time_weight = water.depth_m, water.earlier, water.later, water.time_weight
     k = count_up_to(depths, depth) - 1  # the last grid point above, -1 above the first
-    last = len(depths) - 1
-    a, b = max(k, 0), min(k + 1, last)
-    depth_weight = 0.0 if k < 0 or k >= last else (depth - depths[k]) / (depths[k + 1] - depths[k])
-    north = earlier[a, 0] + depth_weight * (earlier[b, 0] - earlier[a, 0])
-    east = earlier[a, 1] + depth_weight * (earlier[b, 1] - earlier[a, 1])
+    a, b = max(k, 0), min(k + 1, len(depths) - 1)
+    step = depths[b] - depths[a]  # 0 above the first and below the last grid point
+    depth_weight = (depth - depths[a]) / step if step > 0.0 else 0.0
+    by_north, by_east = earlier[b, 0] - earlier[a, 0], earlier[b, 1] - earlier[a, 1]
+    north, east = earlier[a, 0] + depth_weight * by_north, earlier[a, 1] + depth_weight * by_east
     # A branch that skips these lines for a time weight of 0 would cost more time than it saves: numba would then count
     # the references to ``later`` on both paths.
-    north += time_weight * (later[a, 0] + depth_weight * (later[b, 0] - later[a, 0]) - north)
-    east += time_weight * (later[a, 1] + depth_weight * (later[b, 1] - later[a, 1]) - east)
+    later_north, later_east = later[b, 0] - later[a, 0], later[b, 1] - later[a, 1]
+    north += time_weight * (later[a, 0] + depth_weight * later_north - north)
+    east += time_weight * (later[a, 1] + depth_weight * later_east - east)
+    by_north += time_weight * (later_north - by_north)
+    by_east += time_weight * (later_east - by_east)
+    by_north, by_east = (by_north / step if step > 0.0 else 0.0), (by_east / step if step > 0.0 else 0.0)
     wave_north, wave_east, number = water.wave
     if number > 0.0:
         decay = math.exp(-number * max(depth, 0.0))
         north, east = north + decay * wave_north, east + decay * wave_east
-    return north, east
-
-
-@jit
-def gradient_at(depth: float, water: WaterSample) -> Pair:
-    """Return the gradient dc/dz (1/s) at a depth: (c_k+1 - c_k) / (z_k+1 - z_k), 0 beyond both ends, and the waves'."""
-    depths, earlier, later, time_weight = water.depth_m, water.earlier, water.later, water.time_weight
-    k = count_up_to(depths, depth) - 1  # the last grid point above, -1 above the first
-    last = len(depths) - 1
-    a, b = max(k, 0), min(k + 1, last)
-    step = depths[b] - depths[a]
-    north = earlier[b, 0] - earlier[a, 0]
-    east = earlier[b, 1] - earlier[a, 1]
-    north += time_weight * (later[b, 0] - later[a, 0] - north)
-    east += time_weight * (later[b, 1] - later[a, 1] - east)
-    is_inside = step > 0.0  # else the depth is above the first or below the last grid point
-    north, east = (north / step if is_inside else 0.0), (east / step if is_inside else 0.0)
-    wave_north, wave_east, number = water.wave
-    if number > 0.0:
-        decay = -number * math.exp(-number * max(depth, 0.0))
-        north, east = north + decay * wave_north, east + decay * wave_east
-    return north, east
+        by_north, by_east = by_north - number * decay * wave_north, by_east - number * decay * wave_east
+    return north, east, by_north, by_east
 
 
 @jit
 def velocities_at_depths(depths: Array, water: WaterSample) -> Array:
-    """Return ``velocity_at`` each of the ``depths`` (J,), shape (J, 2)."""
+    """Return the velocity at each of the ``depths`` (J,), shape (J, 2)."""
     c = np.empty((len(depths), 2))
     for j in range(len(depths)):
-        c[j, 0], c[j, 1] = velocity_at(depths[j], water)
+        c[j, 0], c[j, 1], _, _ = water_at(depths[j], water)
     return c
