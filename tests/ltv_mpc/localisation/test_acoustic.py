@@ -36,12 +36,7 @@ USBL = replace(
     lever_arm_m=(-0.5, 0.2, -0.4),
 )
 TRACKING = replace(
-    EVERY_SENSOR.bottom_track,
-    **ODD,
-    period_ns=500_000_000,
-    range_m=50.0,
-    beam_noise_sd_mps=0.003,
-    latency_ns=100_000_000,
+    EVERY_SENSOR.bottom_track, **ODD, period_ns=S // 2, range_m=50.0, beam_noise_sd_mps=0.003, latency_ns=S // 10
 )
 SENSORS = replace(REALISTIC, lbl=LBL, usbl=USBL, bottom_track=TRACKING)
 CONFIG = replace(SHIPPED, deepest_m=5.0)
