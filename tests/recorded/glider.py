@@ -23,9 +23,7 @@ class World:
     water_length: float = 8.0
     water_change: float = 0.001  # m/s per sqrt(s), alike over water_length
     wave_amplitude: float = 0.0  # of an internal wave of one mode, period 600 s
-    gradient: float = 0.0  # of the current north, 1/s, per metre to the north
     river: float = 0.0  # amplitude of a current north that changes with the way north, period 150 m, less at the bottom
-    swell: float = 0.0  # rms velocity at the surface, gone within 10 m
     noise: float = 0.014  # of a beam near the face, doubled at 25 m
     near_bias: float = 0.015  # sd by beam in the first near_cells
     near_cells: int = 2
@@ -79,7 +77,6 @@ class _Water:
         mode = np.cos(np.pi * np.asarray(z) / self._world.bottom_m)[..., None]
         wave = self._world.wave_amplitude * mode * np.cos(2 * np.pi * self._t / 600 + self._phase)
         c = np.stack([np.interp(z, self._z, self._c[:, a]) for a in range(2)], axis=-1) + wave
-        c[..., 0] += self._world.gradient * north
         share = (1.0 - np.asarray(z) / (self._world.bottom_m + 1.0)).clip(0.0, 1.0) ** (1 / 6)
         c[..., 0] += self._world.river * share * math.sin(2.0 * math.pi * north / 150.0)
         return c
@@ -114,8 +111,7 @@ def dive(world: World, seed: int, *, duration: float = 420.0) -> Dive:
             sign = -1.0
         heading = course + turn * min(t / 110, 1.0) + 5 * math.sin(t / 17)
         through = world.speed * np.array([math.cos(math.radians(heading)), math.sin(math.radians(heading))])
-        orbital = world.swell * math.exp(-depth / 4) * rng.standard_normal(2)
-        velocity = water.at(np.array([depth]), position[0])[0] + through + orbital
+        velocity = water.at(np.array([depth]), position[0])[0] + through
         pitch = -26.0 * sign + 0.5 * rng.standard_normal()
         beams = rdi, d, near + bias, shrink * scale
         moment = t, depth, position, velocity, sign, heading, pitch
@@ -127,7 +123,7 @@ def dive(world: World, seed: int, *, duration: float = 420.0) -> Dive:
             position = position + velocity * dt / steps
             depth = max(depth + sign * world.fall * dt / steps, 0.0)
             water.advance(dt / steps)
-            velocity = water.at(np.array([depth]), position[0])[0] + through + orbital
+            velocity = water.at(np.array([depth]), position[0])[0] + through
         t = round(t + dt, 2)
     times, depths, positions, velocities = zip(*log, strict=True)
     return Dive(b"".join(frames), np.array(times), np.array(depths), np.array(positions), np.array(velocities))

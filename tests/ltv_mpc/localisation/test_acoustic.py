@@ -2,47 +2,44 @@
 
 import math
 
-import msgspec
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter
 from ltv_mpc.localisation.filter.state import Belief, Layout
 from ltv_mpc.localisation.sensors.adcp import beam_directions
-from ltv_mpc.localisation.sensors.bottom_track import BottomTracking
-from ltv_mpc.localisation.sensors.lbl import Lbl
-from ltv_mpc.localisation.sensors.usbl import Usbl
 from ltv_mpc.messages import AdcpPing, BottomTrack, LblRange, UsblFix
 from tests.ltv_mpc.localisation.dives import CONFIG as SHIPPED
 from tests.ltv_mpc.localisation.dives import PAPER, REALISTIC, Run, S, dive, error_of
-from tests.ltv_mpc.localisation.sensors.every_sensor import with_settings
+from tests.ltv_mpc.localisation.sensors.every_sensor import EVERY_SENSOR, with_settings
 
 ODD = {"missing_share": 0.1, "outlier_share": 0.1}
-LBL = Lbl(
+LBL = replace(
+    EVERY_SENSOR.lbl,
     **ODD,
     period_ns=5 * S,
     transponders_m=((150.0, 0.0, 60.0), (-75.0, 130.0, 60.0), (-75.0, -130.0, 60.0)),
-    sound_speed_mps=1500.0,
     sound_speed_sd_mps=5.0,
     range_sd_m=0.5,
     outlier_m=20.0,
     lever_arm_m=(0.8, 0.0, -0.4),
 )
-USBL = Usbl(
+USBL = replace(
+    EVERY_SENSOR.usbl,
     **ODD,
     period_ns=2 * S,
     latency_ns=800_000_000,
     ship_m=(60.0, -40.0),
-    position_sd_m=1.0,
     bearing_sd_rad=0.01,
     outlier_m=20.0,
     lever_arm_m=(-0.5, 0.2, -0.4),
 )
-TRACKING = BottomTracking(
-    **ODD, period_ns=500_000_000, range_m=50.0, beam_noise_sd_mps=0.003, outlier_mps=0.5, latency_ns=100_000_000
+TRACKING = replace(
+    EVERY_SENSOR.bottom_track, **ODD, period_ns=S // 2, range_m=50.0, beam_noise_sd_mps=0.003, latency_ns=S // 10
 )
-SENSORS = msgspec.structs.replace(REALISTIC, lbl=LBL, usbl=USBL, bottom_track=TRACKING)
-CONFIG = msgspec.structs.replace(SHIPPED, deepest_m=5.0)
+SENSORS = replace(REALISTIC, lbl=LBL, usbl=USBL, bottom_track=TRACKING)
+CONFIG = replace(SHIPPED, deepest_m=5.0)
 DIVE = dive(SENSORS, 11, duration_s=60.0)
 
 
@@ -132,7 +129,7 @@ def first_fixes(transponders, drift_m, *, calls, seeds=100):
     Each seed draws where the vehicle really is, and the ranges that it hears.
     """
     net = {"transponders_m": transponders, "sound_speed_sd_mps": 0.0, "range_sd_m": 1.0, "lever_arm_m": (0.0, 0.0, 0.0)}
-    suite = with_settings(msgspec.structs.replace(PAPER, lbl=LBL), lbl=net)
+    suite = with_settings(replace(PAPER, lbl=LBL), lbl=net)
     nees, gated, deviation = np.empty(seeds), 0, 0.0
     for seed in range(seeds):
         rng = np.random.default_rng(seed)

@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import pytest
-from msgspec.structs import replace
 
 from ltv_mpc.frames import rotation
 from ltv_mpc.localisation.config import EstimatorConfig
@@ -13,6 +12,7 @@ from sim.evaluation.cramer_rao_bound import Trajectory, bound
 from sim.evaluation.cramer_rao_bound import model as model_of_errors
 from sim.evaluation.cramer_rao_bound.analysis import schedule
 from sim.evaluation.cramer_rao_bound.model import ATTITUDE, BEAM_BIAS, EPOCH, MOVING, POSITION, WATER, ErrorModel, at
+from tests.ltv_mpc.localisation.sensors.every_sensor import with_settings
 
 PAPER, REALISTIC = SensorConfig.load("paper"), SensorConfig.load("realistic")
 ONE_AXIS = ("heading", "vertical")
@@ -42,11 +42,12 @@ def of_the_table(*, realistic_adcp=False):
     """Constant biases, and as many cells along the vertical as the range has metres."""
     source = REALISTIC.adcp if realistic_adcp else PAPER.adcp
     slant = 1 / math.cos(source.beam_angle_rad)
-    adcp = replace(
-        PAPER.adcp, beam_noise_sd_mps=source.beam_noise_sd_mps, cell_m=slant, range_m=source.range_m * slant + 0.01
+    noise, range_m = source.beam_noise_sd_mps, source.range_m * slant + 0.01
+    return with_settings(
+        PAPER,
+        imu={"gyro_bias_tau_s": 1e9, "accelerometer_bias_tau_s": 1e9},
+        adcp={"beam_noise_sd_mps": noise, "cell_m": slant, "range_m": range_m},
     )
-    imu = replace(PAPER.imu, gyro_bias_tau_s=1e9, accelerometer_bias_tau_s=1e9)
-    return replace(PAPER, imu=imu, adcp=adcp)
 
 
 # Drift after 200 s (m), and velocity then (mm/s), of one axis; from an analysis that is not this project's code.
@@ -143,9 +144,7 @@ def test_information_and_a_covariance_filter_come_to_the_same(suite, walk, monke
     Nothing known to begin with is 30 m here: with 10 km, the covariance filter's own rounding is worse than 10 %.
     """
     monkeypatch.setattr(model_of_errors, "_ANYWHERE", 1e-3)
-    adcp = replace(suite.adcp, range_m=4.0)
-    imu = replace(suite.imu, gyro_bias_tau_s=50.0)
-    suite = replace(suite, adcp=adcp, imu=imu)
+    suite = with_settings(suite, adcp={"range_m": 4.0}, imu={"gyro_bias_tau_s": 50.0})
     config = EstimatorConfig(deepest_m=7.0, current_change_mps_per_rts=walk)
     trajectory = swaying(6.0, surface_s=3.0)
     at_s = [-1.0, 0.0, 2.0, 6.0]
@@ -160,8 +159,8 @@ def test_information_and_a_covariance_filter_come_to_the_same(suite, walk, monke
 
 def test_a_share_of_beams_that_is_lost_weighs_as_much_as_noise():
     """Half of the beams missing is the same as sqrt(2) of the noise, by definition of information."""
-    lost = replace(PAPER, adcp=replace(PAPER.adcp, missing_share=0.5))
-    noisy = replace(PAPER, adcp=replace(PAPER.adcp, beam_noise_sd_mps=math.sqrt(2) * PAPER.adcp.beam_noise_sd_mps))
+    lost = with_settings(PAPER, adcp={"missing_share": 0.5})
+    noisy = with_settings(PAPER, adcp={"beam_noise_sd_mps": math.sqrt(2) * PAPER.adcp.beam_noise_sd_mps})
     config, trajectory = EstimatorConfig(deepest_m=7.0), swaying(5.0)
     a, b, plain = (
         bound(s, config, trajectory, at_s=[5.0], surface_time_s=1.0).covariance for s in (lost, noisy, PAPER)

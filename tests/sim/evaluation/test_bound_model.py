@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import pytest
-from msgspec.structs import replace
 from scipy.spatial.transform import Rotation
 
 from ltv_mpc.frames import GRAVITY_MPS2, earth_rate, rotation, rotation_exp
@@ -28,6 +27,7 @@ from sim.evaluation.cramer_rao_bound.model import (
 from sim.sensors.adcp import beam_velocities
 from sim.sensors.vehicle_state import VehicleState
 from sim.water.column import WaterSample
+from tests.ltv_mpc.localisation.sensors.every_sensor import with_settings
 
 PAPER, REALISTIC = SensorConfig.load("paper"), SensorConfig.load("realistic")
 
@@ -50,7 +50,7 @@ def test_errors_grow_as_two_integrations_of_the_same_samples_part(turning, toler
 
     A vehicle that turns within the step is taken as one that has its mean attitude throughout: hence the tolerance.
     """
-    suite = replace(REALISTIC, imu=replace(REALISTIC.imu, gyro_bias_tau_s=1e9, accelerometer_bias_tau_s=1e9))
+    suite = with_settings(REALISTIC, imu={"gyro_bias_tau_s": 1e9, "accelerometer_bias_tau_s": 1e9})
     W, dt, steps = earth_rate(suite.latitude_rad), 1 / 3, 200
     p0, v0, R0 = np.zeros(3), np.array([0.3, -0.2, 0.1]), rotation(0.03, -0.02, 0.8)
     rate = R0.T @ W + turning * np.array([0.02, -0.01, 0.05])
@@ -93,7 +93,7 @@ def test_the_noise_of_a_step_is_what_many_small_steps_gather():
 def test_what_a_ping_says_of_each_error_is_the_change_of_the_simulated_beams():
     """Reference: finite differences of the simulation; beam and range biases from the sensor configuration."""
     config = EstimatorConfig(deepest_m=20.0)
-    suite = replace(REALISTIC, adcp=replace(REALISTIC.adcp, mounting_rad=(0.02, -0.03, 0.5), range_m=12.0))
+    suite = with_settings(REALISTIC, adcp={"mounting_rad": (0.02, -0.03, 0.5), "range_m": 12.0})
     adcp = suite.adcp
     rng = np.random.default_rng(1)
     depths = np.arange(21.0)
@@ -125,11 +125,7 @@ def test_what_a_ping_says_of_each_error_is_the_change_of_the_simulated_beams():
 def test_what_other_sensors_say_of_each_error_is_the_change_of_what_they_measure():
     """Reference: finite differences of antenna, gauge, heading with bias, and levelling."""
     lever = (0.7, -0.4, -1.1)
-    suite = replace(
-        REALISTIC,
-        gnss=replace(REALISTIC.gnss, lever_arm_m=lever),
-        pressure=replace(REALISTIC.pressure, lever_arm_m=lever),
-    )
+    suite = with_settings(REALISTIC, gnss={"lever_arm_m": lever}, pressure={"lever_arm_m": lever})
     config = EstimatorConfig(deepest_m=7.0)
     model = ErrorModel(suite, config)
     p, v, R = np.array([3.0, 4.0, 5.0]), np.array([0.2, -0.3, 0.1]), rotation(0.2, -0.15, 1.0)
@@ -169,8 +165,9 @@ def test_what_other_sensors_say_of_each_error_is_the_change_of_what_they_measure
 
 def test_biases_fade_and_are_drawn_anew_so_that_their_deviation_stays():
     """First-order Gauss-Markov, in closed form."""
-    imu = replace(REALISTIC.imu, gyro_bias_tau_s=20.0, accelerometer_bias_tau_s=7.0)
-    suite = replace(REALISTIC, imu=imu, compass=replace(REALISTIC.compass, bias_tau_s=3.0))
+    taus = {"gyro_bias_tau_s": 20.0, "accelerometer_bias_tau_s": 7.0}
+    suite = with_settings(REALISTIC, imu=taus, compass={"bias_tau_s": 3.0})
+    imu = suite.imu
     now = Instant(np.zeros(3), np.zeros(3), np.eye(3))
     Phi, Q = ErrorModel(suite, EstimatorConfig()).growth(now, now, 0.5)
     sd = np.repeat([imu.gyro_bias_sd_radps, imu.accelerometer_bias_sd_mps2, suite.compass.bias_sd_rad], [3, 3, 1])

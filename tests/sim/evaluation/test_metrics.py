@@ -88,7 +88,7 @@ def test_errors_are_drift_since_the_descent_began_but_of_places_and_the_absolute
     """The fix at the surface is (10, -4) off. Then the truth drifts by (0, 4), the estimate by (3, 4)."""
     metrics = RunMetrics(vehicle, in_places=in_places)
     feed(metrics, truth(0, 100.0, 200.0), estimate(0, 110.0, 196.0), plan(0, reference_m=(110.0, 196.0)))
-    feed(metrics, truth(S, 100.0, 204.0), estimate(S, 113.0, 200.0))
+    feed(metrics, truth(S, position_m=(100.0, 204.0, 27.0)), estimate(S, 113.0, 200.0))  # depth is in no error
     tracking, true, true_drift, localisation, absolute = metrics.track.errors().values()
     assert tracking.final == pytest.approx(5.0)  # the estimate is (3, 4) off the line
     assert true_drift.final == pytest.approx(4.0)  # the truth has left its own start by (0, 4)
@@ -103,13 +103,6 @@ def test_mean_maximum_and_final_are_over_the_estimates_after_zero(metrics: RunMe
         feed(metrics, truth(t_s * S), estimate(t_s * S, north_m, 0.0))
     tracking = metrics.track.errors()["tracking_error_m"]
     assert (tracking.mean, tracking.max, tracking.final) == pytest.approx((3.0, 6.0, 2.0))
-
-
-def test_depth_is_in_no_error(metrics: RunMetrics) -> None:
-    feed(metrics, plan(0, reference_m=(0.0, 0.0)))
-    for t_s in (0, 1):
-        feed(metrics, truth(t_s * S, position_m=(0.0, 0.0, 20.0 * t_s)), estimate(t_s * S))
-    assert [error.max for error in metrics.track.errors().values()] == [0.0] * 5
 
 
 def test_the_truth_at_an_estimates_time_is_interpolated(metrics: RunMetrics) -> None:

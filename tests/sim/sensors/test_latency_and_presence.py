@@ -147,7 +147,7 @@ def test_a_change_of_one_sensor_or_one_more_does_not_change_the_others(name):
 
 def test_carrier_phase_is_that_of_the_receivers_antenna():
     """On a mast of 10 m the antenna moves with the roll, by the sine of its change."""
-    mast = replace(PLAIN, gnss=replace(PLAIN.gnss, lever_arm_m=(0.0, 0.0, -10.0)))
+    mast = with_settings(PLAIN, gnss={"lever_arm_m": (0.0, 0.0, -10.0)})
     world = truths(from_ns=-3 * S, until_ns=0)
     on_hull, on_mast = ([m for _, m in said(x, world) if isinstance(m, TdcpFix)] for x in (PLAIN, mast))
     for a, b in zip(on_hull, on_mast, strict=True):
@@ -160,8 +160,8 @@ def test_carrier_phase_is_that_of_the_receivers_antenna():
 
 def test_a_vehicle_at_rest_above_a_bed_finds_it_and_loses_the_cells_beyond():
     """Transducer at 20.3 m, bed at 32 m: cells of the realistic profiler at 0.9 to 10.9 m are nearer than 11.7 m."""
-    level = replace(PLAIN.adcp, mounting_known_to_rad=0.0, missing_share=0.0, outlier_share=0.0)
-    suite = replace(PLAIN, adcp=level, bottom_track=BED)
+    level = {"mounting_known_to_rad": 0.0, "missing_share": 0.0, "outlier_share": 0.0}
+    suite = with_settings(replace(PLAIN, bottom_track=BED), adcp=level)
     rest = [replace(x, velocity_mps=(0.0, 0.0, 0.0), attitude_rad=(0.0, 0.0, 0.1)) for x in truths()]
     messages = [m for _, m in said(suite, rest, scenario("water.bottom_m=32"))]
     pings = [m for m in messages if isinstance(m, AdcpPing)]

@@ -5,24 +5,22 @@ from __future__ import annotations
 import math
 from itertools import pairwise
 
-import msgspec
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from scipy import stats
 from scipy.optimize import brentq
 
 from ltv_mpc import frames
-from ltv_mpc.localisation.sensors.lbl import Lbl
-from ltv_mpc.localisation.sensors.usbl import Usbl
 from sim.sensors.lbl import AcousticTransceiver
 from sim.sensors.usbl import ShipTransceiver
 from sim.sensors.vehicle_state import motion_between
+from tests.ltv_mpc.localisation.sensors.every_sensor import EVERY_SENSOR
 from tests.sim.worlds import MS, S, check_share, check_white, instant, truth
 
-LBL = Lbl(
-    period_ns=10 * S,
+LBL = replace(
+    EVERY_SENSOR.lbl,
     transponders_m=((400.0, 0.0, 60.0), (-75.0, 130.0, 80.0)),
-    sound_speed_mps=1500.0,
     sound_speed_sd_mps=2.0,
     range_sd_m=0.5,
     missing_share=0.1,
@@ -30,9 +28,8 @@ LBL = Lbl(
     outlier_m=20.0,
     lever_arm_m=(0.4, 0.1, -0.4),
 )
-USBL = Usbl(
-    period_ns=2 * S,
-    latency_ns=800 * MS,
+USBL = replace(
+    EVERY_SENSOR.usbl,
     ship_m=(60.0, -40.0),
     position_sd_m=0.5,
     bearing_sd_rad=0.01,
@@ -58,7 +55,7 @@ def head(t_s: float) -> np.ndarray:
 @pytest.mark.parametrize("step_ns", [10 * MS, 70 * MS])
 def test_the_sound_returns_to_where_the_vehicle_is_by_then(step_ns):
     """Half the time is, to a centimetre, the range at the message's own time, unlike that at the interrogation."""
-    transceiver = AcousticTransceiver(msgspec.structs.replace(LBL, **PERFECT), 1)
+    transceiver = AcousticTransceiver(replace(LBL, **PERFECT), 1)
     said, called_ns = [], 123 * MS
     for at in range(0, 3 * S, step_ns):
         motion = motion_between(path(at / S), path((at + step_ns) / S))
@@ -96,7 +93,7 @@ def ranges(settings, count):
 
 
 def test_ranges_are_off_by_white_noise_and_sometimes_lost_or_longer_but_never_shorter():
-    white = ranges(msgspec.structs.replace(LBL, **NONE_LOST), 3000)[1]
+    white = ranges(replace(LBL, **NONE_LOST), 3000)[1]
     check_white(white, 0.5)
     errors = ranges(LBL, 3000)[1]
     lost = np.isnan(errors)
@@ -111,8 +108,8 @@ def test_ranges_are_off_by_white_noise_and_sometimes_lost_or_longer_but_never_sh
 
 def test_the_sound_speed_differs_from_the_file_by_one_draw_a_run_that_stretches_every_range():
     check_white([AcousticTransceiver(LBL, seed).sound_speed_mps - 1500.0 for seed in range(600)], 2.0)
-    assert AcousticTransceiver(msgspec.structs.replace(LBL, sound_speed_sd_mps=0.0), 5).sound_speed_mps == 1500.0
-    c, errors = ranges(msgspec.structs.replace(LBL, **PERFECT, sound_speed_sd_mps=30.0), 3)
+    assert AcousticTransceiver(replace(LBL, sound_speed_sd_mps=0.0), 5).sound_speed_mps == 1500.0
+    c, errors = ranges(replace(LBL, **PERFECT, sound_speed_sd_mps=30.0), 3)
     assert abs(c - 1500.0) > 5.0
     np.testing.assert_allclose(errors, 0.0, atol=1e-6)
 
@@ -122,7 +119,7 @@ def test_no_range_with_the_head_out_of_water_or_from_a_far_transponder():
     world = motion_between(truth(0, position_m=(0.0, 0.0, 0.3)), truth(S, position_m=(0.0, 0.0, 0.3)))
     out.sample(world.at(0))  # 0.4 m above the origin, at 0.3 m
     assert out.answers(world, S) == []
-    far = msgspec.structs.replace(LBL, **PERFECT, transponders_m=((46_000.0, 0.0, 60.0), (100.0, 0.0, 60.0)))
+    far = replace(LBL, **PERFECT, transponders_m=((46_000.0, 0.0, 60.0), (100.0, 0.0, 60.0)))
     transceiver = AcousticTransceiver(far, 1)
     transceiver.sample(instant(position=(0.0, 0.0, 20.0)))
     at = [truth(k * S, position_m=(0.0, 0.0, 20.0)) for k in range(70)]
@@ -143,18 +140,18 @@ def fixes(settings, count, depth):
 @pytest.mark.parametrize("depth", [20.0, 900.0])
 def test_the_error_of_a_fix_grows_with_the_distance_of_the_ship(depth):
     sd = math.sqrt(0.5**2 + (0.01**2) * (50.0**2 + 60.0**2 + (depth - 0.4) ** 2))
-    check_white(fixes(msgspec.structs.replace(USBL, **NONE_LOST), 3000, depth), sd)
+    check_white(fixes(replace(USBL, **NONE_LOST), 3000, depth), sd)
 
 
 def test_a_fix_is_the_position_of_the_beacon():
-    quiet = msgspec.structs.replace(USBL, position_sd_m=1e-12, bearing_sd_rad=0.0, **NONE_LOST)
-    ship = ShipTransceiver(msgspec.structs.replace(quiet, lever_arm_m=(0.0, 0.0, -2.0)), 2)
+    quiet = replace(USBL, position_sd_m=1e-12, bearing_sd_rad=0.0, **NONE_LOST)
+    ship = ShipTransceiver(replace(quiet, lever_arm_m=(0.0, 0.0, -2.0)), 2)
     (fix,) = ship.sample(instant(position=(10.0, 20.0, 20.0), attitude=(0.0, 0.1, 0.0)))
     assert (fix.north_m, fix.east_m) == pytest.approx((10.0 - 2.0 * math.sin(0.1), 20.0))
 
 
 def test_lost_fixes_and_outliers_have_their_shares():
-    error = fixes(msgspec.structs.replace(USBL, position_sd_m=1e-9, bearing_sd_rad=0.0), 1000, 20.0)
+    error = fixes(replace(USBL, position_sd_m=1e-9, bearing_sd_rad=0.0), 1000, 20.0)
     lost = np.isnan(error).any(axis=1)
     check_share(lost, 0.1)
     for sign in (1, -1):
@@ -163,6 +160,6 @@ def test_lost_fixes_and_outliers_have_their_shares():
 
 
 def test_a_beacon_out_of_the_water_gives_no_fix():
-    always = msgspec.structs.replace(USBL, missing_share=0.0)
+    always = replace(USBL, missing_share=0.0)
     assert np.isnan(fixes(always, 20, 0.4)).all()
     assert np.isfinite(fixes(always, 20, 0.41)).all()

@@ -4,32 +4,25 @@ from __future__ import annotations
 
 import math
 
-import msgspec
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from ltv_mpc.localisation.sensor_config import SensorConfig
-from ltv_mpc.localisation.sensors.bottom_track import BottomTracking
 from ltv_mpc.validation import rejection_reason
 from sim.sensors.adcp import Instrument, Profiler
 from sim.sensors.bottom_track import BottomTracker
 from sim.water import WaterColumn
+from tests.ltv_mpc.localisation.sensors.every_sensor import EVERY_SENSOR
 from tests.sim.worlds import AXES, C20, S20, check_share, check_white, instant
 
 ADCP = SensorConfig.load("realistic").adcp
-TABLE = BottomTracking(
-    period_ns=333_333_333,
-    range_m=20.0,
-    beam_noise_sd_mps=0.0015,
-    missing_share=0.02,
-    outlier_share=0.01,
-    outlier_mps=0.5,
-)
-WHITE = msgspec.structs.replace(TABLE, missing_share=0.0, outlier_share=0.0)
-EXACT = msgspec.structs.replace(WHITE, beam_noise_sd_mps=1e-12)
-STRAIGHT = msgspec.structs.replace(ADCP, mounting_sd_rad=0.0, mounting_known_to_rad=0.0, lever_arm_m=(0.0, 0.0, 0.0))
+TABLE = replace(EVERY_SENSOR.bottom_track, beam_noise_sd_mps=0.0015, missing_share=0.02, outlier_share=0.01)
+WHITE = replace(TABLE, missing_share=0.0, outlier_share=0.0)
+EXACT = replace(WHITE, beam_noise_sd_mps=1e-12)
+STRAIGHT = replace(ADCP, mounting_sd_rad=0.0, mounting_known_to_rad=0.0, lever_arm_m=(0.0, 0.0, 0.0))
 STILL = WaterColumn(np.zeros(1), np.zeros((1, 2)))
 
 
@@ -48,7 +41,7 @@ def test_a_vehicle_that_moves_ahead_and_sinks_approaches_the_bed_in_the_fore_bea
 
 def test_any_attitude_lever_arm_and_turn_by_scipys_rotations():
     """Beams of the profiler's own mounting draw; the transducer at the end of its lever swings with the vehicle."""
-    adcp = msgspec.structs.replace(ADCP, mounting_known_to_rad=0.05, mounting_rad=(0.1, -0.2, 0.8))
+    adcp = replace(ADCP, mounting_known_to_rad=0.05, mounting_rad=(0.1, -0.2, 0.8))
     roll, pitch, heading, rate = 0.1, -0.07, 2.6, (0.2, -0.1, 0.3)
     v = (0.4, -0.3, 0.1)
     message = ping(instant(attitude=(roll, pitch, heading), velocity=v, rate=rate), adcp=adcp, seed=6)
@@ -91,7 +84,7 @@ def test_noise_is_white_of_the_tables_size_and_each_beam_is_lost_by_itself():
 
 
 def test_pings_at_the_bed_and_at_the_water_have_noise_of_their_own():
-    quiet = msgspec.structs.replace(STRAIGHT, missing_share=0.0, outlier_share=0.0)
+    quiet = replace(STRAIGHT, missing_share=0.0, outlier_share=0.0)
     profiler = Profiler(Instrument(quiet, 3), STILL, 3)
     of_water = (profiler.sample(instant())[0].beam_velocity_mps - profiler.bias_mps).ravel() / 0.0194
     assert np.abs(of_water[:, None] - pings(WHITE, 1)[0] / 0.0015).min() > 1e-6

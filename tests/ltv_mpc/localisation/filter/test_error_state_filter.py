@@ -11,8 +11,10 @@ from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter
 from ltv_mpc.localisation.filter.state import Belief, Layout
 from ltv_mpc.localisation.sensor_config import SensorConfig
+from ltv_mpc.localisation.sensors.adcp import beam_directions
 from ltv_mpc.localisation.water.current_model import node_prior
 from ltv_mpc.messages import AdcpPing, CompassHeading, ImuSample, PressureDepth, TdcpFix
+from tests.ltv_mpc.localisation.sensors.every_sensor import with_settings
 
 PAPER = SensorConfig.load("paper")
 DT = 0.01
@@ -40,15 +42,9 @@ def test_profiles_of_water_are_weighted_as_least_squares_does():
     """
     walk = 0.02
     config = msgspec.structs.replace(CONFIG, current_change_mps_per_rts=walk, adapts_to_water=False)
-    imu = msgspec.structs.replace(
-        PAPER.imu,
-        gyro_bias_sd_radps=0.0,
-        angle_random_walk_rad_per_rts=0.0,
-        velocity_random_walk_mps_per_rts=0.0,
-        accelerometer_bias_sd_mps2=0.0,
-    )
-    adcp = msgspec.structs.replace(PAPER.adcp, beam_bias_sd_mps=0.03)
-    suite = msgspec.structs.replace(PAPER, imu=imu, adcp=adcp)
+    errors = "gyro_bias_sd_radps", "angle_random_walk_rad_per_rts", "velocity_random_walk_mps_per_rts"
+    perfect = dict.fromkeys((*errors, "accelerometer_bias_sd_mps2"), 0.0)
+    suite = with_settings(PAPER, imu=perfect, adcp={"beam_bias_sd_mps": 0.03})
     layout = Layout.of(suite, config)
     belief = Belief.blank(layout, 0)
     sd_v, sinking = 0.3, 0.5
@@ -72,9 +68,7 @@ def test_profiles_of_water_are_weighted_as_least_squares_does():
         right += [0.0] * CELLS
         sds += [1.0] * CELLS
     cells = eye[6 : 6 + 2 * CELLS].copy()
-    s, c = math.sin(math.radians(20)), math.cos(math.radians(20))
-    beams = np.array([[s, 0, c], [-s, 0, c], [0, s, c], [0, -s, c]])
-    ranges = np.arange(1.0, 6.0)
+    beams, ranges = beam_directions(math.radians(20)), np.arange(1.0, 6.0)
     for i in range(pings):
         for k in range(i * between + 1, (i + 1) * between + 1):
             filter_.advance(k * DT_NS, sample(k))
@@ -88,7 +82,7 @@ def test_profiles_of_water_are_weighted_as_least_squares_does():
         depth = sinking * (i + 1) * between * DT
         for beam in range(4):
             for j, r in enumerate(ranges):
-                at = depth + r * c
+                at = depth + r * beams[beam, 2]
                 k, t = int(at), at - int(at)
                 row = eye[2 + beam].copy()
                 for axis in range(2):
@@ -96,7 +90,7 @@ def test_profiles_of_water_are_weighted_as_least_squares_does():
                     row += beams[beam, axis] * (water - eye[axis])
                 rows.append(row)
                 right.append(z[beam, j] + beams[beam, 2] * sinking)
-                sds.append(adcp.beam_noise_sd_mps)
+                sds.append(suite.adcp.beam_noise_sd_mps)
     solution, covariance = batch(unknowns, rows, right, sds)
     T = np.concatenate([eye[:2], eye[2:6], cells])
     at = [3, 4, *range(layout.beam_bias.start, layout.beam_bias.stop), *range(layout.north.start, layout.east.stop)]
