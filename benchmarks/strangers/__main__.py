@@ -17,10 +17,12 @@ def main() -> None:
     parser.add_argument("what", nargs="?", choices=("hold", "tasks"), default="tasks")
     parser.add_argument("--starts", type=int, default=3, help="of each row; of `hold`: the worst rows have 20")
     parser.add_argument("--jobs", type=int, default=2, help="processes")
+    parser.add_argument("--drawn", type=int, metavar="N", help="of `hold`: N hulls drawn at random; see drawn.py")
     parser.add_argument("--write", action="store_true", help=f"write {page.PAGE}")
     options = parser.parse_args()
     if options.what == "hold":
-        print(hold.report(hold.run(hold.matrix(), starts=options.starts, workers=options.jobs)))
+        rows = hold.drawn_rows(options.drawn) if options.drawn else hold.matrix()
+        print(hold.report(hold.run(rows, starts=options.starts, workers=options.jobs)))
     else:
         text = page.text(page.run(starts=options.starts, workers=options.jobs), options.starts)
         print(text)

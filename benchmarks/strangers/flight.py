@@ -19,7 +19,7 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from benchmarks.strangers import catamaran, ellipsoid, light_boat
+from benchmarks.strangers import catamaran, drawn, ellipsoid, light_boat
 from benchmarks.strangers.rigid_body import Hull, Plant
 from ltv_mpc import Controller, ControllerConfig, Estimate, Vehicle
 from ltv_mpc.messages import Applied, Array, Health, Pair
@@ -47,6 +47,9 @@ def load(name: str) -> tuple[Hull, Vehicle]:
     """Return a hull and the vehicle file of its owner; of a shipped vehicle, a hull with the model's equations."""
     if name in FOREIGN:
         return FOREIGN[name](), Vehicle.load(str(HERE / f"{name}.toml"))
+    if name.startswith(drawn.NAME):
+        true, file = drawn.vehicles(int(name.removeprefix(drawn.NAME)))
+        return model_hull(true), file
     vehicle = Vehicle.load(name)
     return model_hull(vehicle), vehicle
 

@@ -16,6 +16,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from benchmarks.batch import in_order
+from benchmarks.strangers import drawn
 from benchmarks.strangers.flight import FOREIGN, SHIPPED, Conditions, Ours, Start, fly, load
 from ltv_mpc.references import Point
 
@@ -72,6 +73,15 @@ def matrix() -> list[Row]:
         for current in CURRENTS_MPS
         for reports in (True, False)
     ] + [Row(vehicle, reports=reports, noise_m=NOISE_M) for vehicle in vehicles for reports in (True, False)]
+
+
+def drawn_rows(hulls: int) -> list[Row]:
+    """Return a row for each of so many hulls that are drawn at random; their points and currents take turns."""
+    points = [(a * m, s * m) for m in OFFSETS_M for a, s in DIRECTIONS]
+    return [
+        Row(f"{drawn.NAME}{i}", *points[i % len(points)], CURRENTS_MPS[i // 2 % len(CURRENTS_MPS)], reports=i % 2 == 0)
+        for i in range(hulls)
+    ]
 
 
 def judge(row: Row, seed: int) -> Figures:
