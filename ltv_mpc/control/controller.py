@@ -347,7 +347,7 @@ class Controller:
             self.follower.advance(knots, start.lateral, current, self._lateral.target)
             if self.estimate_gate.health(now_ns) is NOMINAL:
                 self.follower.arrive(decision.estimate, self.config.position_tolerance_m)
-            if decision.mode is Mode.FOLLOW and not self._lateral.fencing.leads_round:
+            if decision.mode is Mode.FOLLOW and self._lateral.fencing.way == "straight":
                 self.follower.watch(decision.estimate, self.config.position_tolerance_m)
         self._lateral.fencing.set_path(self.follower.path_beside(knots) if decision.follows else None)
         error_mps2, apart_m = self.observer.model_error_mps2, self.estimate_gate.growth_m + self.observer.waves_m

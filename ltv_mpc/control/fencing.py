@@ -20,6 +20,7 @@ at least, or for the hull alone if the vehicle lacks hull + margin of two zones.
 from __future__ import annotations
 
 import math
+from typing import Literal
 
 import numpy as np
 
@@ -89,9 +90,8 @@ class Fencing:
         """Zones and obstacles of this cycle."""
         self._labels: list[str] = []
         self._routes = Routes()
-        self._no_way = False  # round the zones to the target
-        self.leads_round = False
-        """True if the straight way to the target was blocked in the last cycle."""
+        self.way: Literal["straight", "round", "none"] = "straight"
+        """Way to the target of a point that was led in the last cycle: "round" the zones, or "none" is found."""
         self.meeting_margins: tuple[str, ...] = ()
         """Zones whose required clearances the vehicle lacks at once, because late estimates have made them grow."""
         self._dropped: tuple[int, ...] = ()
@@ -195,7 +195,7 @@ class Fencing:
         model_error_mps2 : acceleration that the model has not explained lately (m/s^2). In the time in which the
             vehicle stops or turns, it carries the vehicle half of its square times the acceleration too far.
         """
-        self._no_way = False
+        self.way = "straight"
         self.meeting_margins = ()
         if self.fence is None:  # in most cycles, which then spend no time here
             return
@@ -222,11 +222,10 @@ class Fencing:
         limited : True if a limit of motion is set. Without one, and without a fence, far targets stay where they are.
         """
         router = self._routes.router
-        self.leads_round = router is not None and router.chain_is_blocked(position, target[:-1, :2])
-        if router is not None and self.leads_round:
+        if router is not None and router.chain_is_blocked(position, target[:-1, :2]):
             self.set_path(None)
             arrives = lead_round(router, position, current, target, self._times_s, self._scales)
-            self._no_way = not arrives
+            self.way = "round" if arrives else "none"
         if limited or self.is_active:
             bring_near(position, current, target, float(self._times_s[-1]), self._scales.speed_mps)
 
@@ -287,7 +286,7 @@ class Fencing:
             inside=tuple(inside),
             exceeded=exceeded,
             skipped_m=skipped_m,
-            no_way=self._no_way,
+            no_way=self.way == "none",
             time_to_zone_ns=round(first_s * 1e9) if math.isfinite(first_s) else None,
             dropped=dropped,
         )

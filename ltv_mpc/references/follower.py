@@ -104,6 +104,27 @@ class _Speeds(NamedTuple):
     top_mps: float
 
 
+class _Distances:
+    """Distances of a vehicle that is away from its target, over the last ``AWAY_NS``."""
+
+    def __init__(self) -> None:
+        self._last: deque[tuple[int, float]] = deque()  # time (ns) and distance (m)
+        self.stay = False
+        """True while they do not become smaller."""
+
+    def add(self, t_ns: int, distance_m: float, near_m: float) -> None:
+        """Add a distance. Within ``near_m``, and after a gap in time, the list starts again."""
+        last = self._last
+        if distance_m <= near_m or (last and not 0 <= t_ns - last[-1][0] <= MAX_STEP_S * 1e9):
+            last.clear()
+            self.stay = False
+        last.append((t_ns, distance_m))
+        while len(last) > 1 and last[1][0] <= t_ns - AWAY_NS:
+            last.popleft()
+        if t_ns - last[0][0] >= AWAY_NS:  # to be near again takes more than to oscillate
+            self.stay = last[0][1] - distance_m < (AWAY_M if self.stay else NEARER_M)
+
+
 class _Track(NamedTuple):
     """Reference that has started: its schedule, and what a cycle needs of it."""
 
@@ -111,6 +132,7 @@ class _Track(NamedTuple):
     whole: Schedule  # without restriction; its end need not be allowed
     start: ReferenceStart
     leash_m: float
+    distances: _Distances  # of the vehicle from its target
 
     @property
     def depth_m(self) -> float | None:
@@ -140,9 +162,6 @@ class Follower:
         self._tau_s = 0.0
         self._rate = 1.0
         self._t_ns = 0
-        self._distances: deque[tuple[int, float]] = deque()  # time (ns) and distance (m) of the last AWAY_NS away
-        self.stays_away = False
-        """True while the vehicle is away from its target and does not come nearer."""
         self.progress = NO_PROGRESS
         """Progress along a path; ``NO_PROGRESS`` for a point, and before the reference starts."""
 
@@ -160,6 +179,11 @@ class Follower:
     def depth_m(self) -> float | None:
         """Depth at which the reference ends (m); None if it has no depth or has not started."""
         return None if self._track is None else self._track.depth_m
+
+    @property
+    def stays_away(self) -> bool:
+        """True while the vehicle is away from its target and does not come nearer."""
+        return self._track is not None and self._track.distances.stay
 
     @property
     def start_distance_m(self) -> float | None:
@@ -203,7 +227,8 @@ class Follower:
         same = track is not None and track.start == start
         whole = track.whole if track and same else self.reference.schedule(self._vehicle, start)
         schedule, self.skipped_m = self._allowed(whole)
-        return _Track(schedule, whole, start, max(LEASH_S * self._speeds.cruise_mps, MIN_LEASH_M))
+        distances = track.distances if track and same else _Distances()
+        return _Track(schedule, whole, start, max(LEASH_S * self._speeds.cruise_mps, MIN_LEASH_M), distances)
 
     def path_beside(self, t_ns: Times) -> PathBeside | None:
         """Return the path beside a plan: from behind the target at its first knot to ahead of that at its last one.
@@ -252,18 +277,10 @@ class Follower:
         estimate : newest estimate; the vehicle is free to drive straight to the target.
         tolerance_m : distance that counts as near, if it is above ``AWAY_M`` (m).
         """
-        track, target, away, t_ns = self._track, self.target_m, self._distances, estimate.t_ns
-        if track is None or target is None:
-            return
-        distance_m = math.dist((estimate.north_m, estimate.east_m), target) - track.leash_m * self.is_path
-        if distance_m <= max(tolerance_m, AWAY_M) or (away and not 0 <= t_ns - away[-1][0] <= MAX_STEP_S * 1e9):
-            away.clear()
-            self.stays_away = False
-        away.append((t_ns, distance_m))
-        while len(away) > 1 and away[1][0] <= t_ns - AWAY_NS:
-            away.popleft()
-        if t_ns - away[0][0] >= AWAY_NS:  # to be near again takes more than to oscillate
-            self.stays_away = away[0][1] - distance_m < (AWAY_M if self.stays_away else NEARER_M)
+        track, target = self._track, self.target_m
+        if track is not None and target is not None:
+            distance_m = math.dist((estimate.north_m, estimate.east_m), target) - track.leash_m * self.is_path
+            track.distances.add(estimate.t_ns, distance_m, max(tolerance_m, AWAY_M))
 
     def save(self) -> FollowerState:
         """Return the state that another follower of the same reference continues from."""
