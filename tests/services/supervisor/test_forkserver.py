@@ -98,7 +98,7 @@ def test_a_child_has_its_own_exit_code_and_log(
     crew: ProcessGroup, forked: bool, task: str, code: int | str, exit_code: int, last: str
 ) -> None:
     if not forked:
-        crew.forks._end()
+        crew.forks._end(crew.forks.servers[0])
     child = started(crew, "plant", task, code)
 
     until(lambda: child.exit_code() is not None)
@@ -111,7 +111,7 @@ def test_a_child_belongs_to_the_supervisor_and_its_group_is_that_of_the_cleanup(
     crew: ProcessGroup, forked: bool
 ) -> None:
     if not forked:
-        crew.forks._end()
+        crew.forks._end(crew.forks.servers[0])
     child = started(crew, "plant", "sleeps")
     assert stat(child.pid)[1:3] == [str(os.getpid()), str(crew.cleanup.group)]
     assert Path(f"/proc/{child.pid}/comm").read_text() == "ltv-plant\n"
@@ -124,8 +124,7 @@ def test_a_child_belongs_to_the_supervisor_and_its_group_is_that_of_the_cleanup(
 @pytest.mark.parametrize("number", [signal.SIGSTOP, signal.SIGKILL])
 def test_a_fork_server_that_fails_kills_no_child_and_is_replaced(crew: ProcessGroup, number: signal.Signals) -> None:
     """What a stopped one forks too late ends."""
-    assert crew.forks.server is not None
-    first = crew.forks.server.pid
+    first = crew.forks.servers[0].pid
     sensors = started(crew, "sensors", "sleeps")
     os.kill(first, number)
     spawned = started(crew, "plant", "sleeps")
@@ -137,16 +136,33 @@ def test_a_fork_server_that_fails_kills_no_child_and_is_replaced(crew: ProcessGr
     plant = started(crew, "plant", "sleeps")
     assert "forkserver.main()" in children_of(os.getpid())[plant.pid]
     assert [child.exit_code() for child in crew.by_name.values()] == [None, None]
-    assert {sensors.pid, plant.pid, crew.forks.server.pid} <= children_of(os.getpid()).keys()
+    assert {sensors.pid, plant.pid, crew.forks.servers[0].pid} <= children_of(os.getpid()).keys()
     until(lambda: not {first, spawned.pid} & children_of(os.getpid()).keys())
+
+
+@pytest.mark.parametrize("number", [signal.SIGSTOP, signal.SIGKILL])
+def test_its_spare_forks_in_its_place_and_makes_another_spare(crew: ProcessGroup, number: signal.Signals) -> None:
+    """The children of both are adopted, in the group of the cleanup."""
+    for _ in range(2):
+        crew.forks.load()
+        first, spare = (server.pid for server in crew.forks.servers)
+        os.kill(first, number)
+        plant = started(crew, "plant", "sleeps")
+        assert crew.forks.servers[0].pid == spare
+        assert crew.forks.is_loaded()
+        assert "forkserver.main()" in children_of(os.getpid())[plant.pid]
+        assert stat(plant.pid)[1] == str(os.getpid())
+        assert first not in children_of(os.getpid())
+        plant.kill()
 
 
 def test_what_a_slow_fork_server_forks_too_late_ends_and_takes_nothing_from_the_other_child(
     crew: ProcessGroup, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     late: list[int | None] = []
-    reply = crew.forks._reply
-    monkeypatch.setattr(crew.forks, "_reply", lambda timeout_s: late.append(reply(10.0)) if timeout_s else reply(0.0))
+    (server,) = crew.forks.servers
+    reply = server.reply
+    monkeypatch.setattr(server, "reply", lambda timeout_s: late.append(reply(10.0)) if timeout_s else reply(0.0))
     child = started(crew, "plant", "sleeps")
     assert late != [child.pid]
     until(lambda: not alive(late[0] or 0))
@@ -162,7 +178,7 @@ def test_a_child_that_dies_before_it_is_let_go_on_has_its_exit_code(
         (Path(crew.forks.log.parent) / "plant.log").mkdir()
     else:
         monkeypatch.setattr(forkserver, "ENTRY_POINT", ("-c", "raise SystemExit(1)"))
-        crew.forks._end()
+        crew.forks._end(crew.forks.servers[0])
     crew.start(ProcessRow("plant", "quick", True), Quick("sleeps"))
     until(lambda: crew.wait(0.01, lambda: False) or crew.by_name["plant"].exit_code() == 1)
 
@@ -178,7 +194,7 @@ crew.forks.load()
 test.until(crew.forks.is_loaded)
 tasks = {{"plant": "sleeps", "controller": "holds the GIL", "recorder": "holds the GIL"}}
 pids = [test.started(crew, name, task).pid for name, task in tasks.items()]
-print(crew.cleanup.group, crew.forks.server.pid, *pids, flush=True)
+print(crew.cleanup.group, crew.forks.servers[0].pid, *pids, flush=True)
 time.sleep(600)
 """
 
