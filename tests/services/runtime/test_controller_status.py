@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import http.client
 from collections.abc import Iterator
 from typing import Any
@@ -192,15 +193,10 @@ def metrics(free_port: int) -> Iterator[Metrics]:
 
 
 def asked(port: int, method: str = "GET", path: str = "/metrics", host: str | None = None) -> tuple[int, str]:
-    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
-    try:
-        connection.putrequest(method, path, skip_host=True)
-        connection.putheader("Host", f"127.0.0.1:{port}" if host is None else host)
-        connection.endheaders()
+    with contextlib.closing(http.client.HTTPConnection("127.0.0.1", port, timeout=10)) as connection:
+        connection.request(method, path, headers={} if host is None else {"Host": host})
         answer = connection.getresponse()
         return answer.status, answer.read().decode()
-    finally:
-        connection.close()
 
 
 def test_prometheus_reads_every_figure_in_seconds_with_labels_escaped(free_port: int, metrics: Metrics) -> None:
