@@ -31,6 +31,7 @@ def report(
     from services.reporting import report as page
     from services.reporting.terminal import reading_progress
     from services.run import folder
+    from services.runtime.console import columns
     from services.tools.python_run import summary_of
 
     if runs is not None and len(runs) == 1 and (Path(runs[0]) / "campaign.toml").is_file():
@@ -50,7 +51,7 @@ def report(
     with plots_or_a_line("report", wanted=True), reading_progress(", ".join(run.name for run in shown)):
         figures = page.write(shown, target)
     names = [run.name for run in shown]
-    text = [differences.text(names, figures)] if figures else []
+    text = columns(differences.table(names, figures), numbers=True) if figures else []
     show({"report": str(target), "figures": figures}, lambda: "\n".join([*text, str(target)]), as_json=as_json)
 
 

@@ -7,8 +7,6 @@ from typing import Any
 
 import msgspec
 
-from services.runtime.console import columns
-
 
 class Figure(msgspec.Struct, frozen=True):
     """Definition of a table row: ``path`` into summary.json and ``scale`` from its unit to ``unit``."""
@@ -86,13 +84,15 @@ def _value(figure: Figure, summary: Mapping[str, Any]) -> float | None:
     return None if not isinstance(value, int | float) else value * figure.scale
 
 
-def text(names: Sequence[str], table: Sequence[Row]) -> str:
-    """Format the table as plain text: one column for each run, then the differences to the first."""
-    head = ["", *names, *(f"{name} - first" for name in names[1:])]
-    body = [
-        [f"{row.label} ({row.unit})" if row.unit else row.label]
-        + ["-" if value is None else f"{value:.{row.digits}f}" for value in row.values]
-        + ["-" if value is None else f"{value:+.{row.digits}f}" for value in row.differences]
-        for row in table
+def table(names: Sequence[str], figures: Sequence[Row]) -> list[list[str]]:
+    """Return the rows of the table, the head first: one column for each run, then the differences to the first."""
+    head = ["figure", *names, *(f"{name} - first" for name in names[1:])]
+    return [head, *map(_cells, figures)]
+
+
+def _cells(row: Row) -> list[str]:
+    return [
+        f"{row.label} ({row.unit})" if row.unit else row.label,
+        *("-" if value is None else f"{value:.{row.digits}f}" for value in row.values),
+        *("-" if value is None else f"{value:+.{row.digits}f}" for value in row.differences),
     ]
-    return "\n".join(columns([head, *body], numbers=True))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import TypeAlias
 
 Cell: TypeAlias = str | tuple[str, str]
@@ -13,19 +13,25 @@ NUMBER = "number"
 """Class of a number, which stands at the right."""
 
 
-def row(cells: Iterable[Cell], tag: str = "td") -> str:
-    """Return a row of a table; ``tag`` is th in its head."""
-    pairs = ((cell, "") if isinstance(cell, str) else cell for cell in cells)
+def row(cells: Iterable[Cell], tag: str = "td", *, numbers: bool = False) -> str:
+    """Return a row of a table; ``tag`` is th in its head, with ``numbers`` all but the first cell are numbers."""
+    pairs = ((cell, NUMBER if numbers and i else "") if isinstance(cell, str) else cell for i, cell in enumerate(cells))
     return "<tr>" + "".join(f'<{tag} class="{kind}">{html.escape(text)}</{tag}>' for text, kind in pairs) + "</tr>"
 
 
-def table(label: str, head: Iterable[Cell], rows: str, *, frame: str = "scroll", kind: str = "sortable") -> str:
-    """Return a table that scrolls in a frame of its own; ``label`` is its name for a screen reader."""
-    content = f'<table class="{kind}"><thead>{row(head, "th")}</thead><tbody>{rows}</tbody></table>'
+def table(
+    label: str,
+    rows: Sequence[Iterable[Cell]],
+    *,
+    numbers: bool = False,
+    frame: str = "scroll",
+    kind: str = "sortable",
+) -> str:
+    """Return a table that scrolls in a frame of its own; its first row is the head.
+
+    ``label`` is its name for a screen reader. A table of texts is printed by ``console.columns``, from the same rows.
+    """
+    head, *others = rows
+    body = "".join(row(cells, numbers=numbers) for cells in others)
+    content = f'<table class="{kind}"><thead>{row(head, "th", numbers=numbers)}</thead><tbody>{body}</tbody></table>'
     return f'<div class="{frame}" tabindex="0" role="region" aria-label="{html.escape(label)}">{content}</div>'
-
-
-def number(value: float | None, digits: int, *, signed: bool = False) -> Cell:
-    """Return the cell of a figure; a dash if there is none."""
-    sign = "+" if signed else ""
-    return "–" if value is None else f"{value:{sign}.{digits}f}", NUMBER

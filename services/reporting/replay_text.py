@@ -8,9 +8,11 @@ from typing import Any
 import msgspec
 
 from services.replay.verdict import Difference, NodeVerdict, ProvenanceDifference, Verdict, WhatIfVerdict
+from services.runtime.console import columns
 
 MAX_VALUE_LENGTH = 32
 MODES = {"lockstep": "in lock step", "services": "as processes", "vehicle": "beside a vehicle"}
+NODE_FIGURES = "node", "starts", "steps run", "compared", "identical", "outputs"
 SAME_MACHINE_NEEDED = "another processor or version may change the last bits, and all outputs that follow:"
 
 
@@ -19,7 +21,7 @@ def text(verdict: Verdict) -> str:
     compared, run = verdict.steps_compared, verdict.steps_run
     lines = [
         f"run           {verdict.scenario}, {verdict.vehicle_s:.1f} s {MODES.get(verdict.mode, verdict.mode)}",
-        *_table(verdict.nodes),
+        *columns([NODE_FIGURES, *map(_cells, verdict.nodes)], numbers=True),
         "",
         f"compared      {_share(compared, run)} of {run} steps",
         f"identical     {_share(verdict.steps_identical, compared)} of {compared} steps, byte for byte",
@@ -45,23 +47,21 @@ def what_if_text(verdict: WhatIfVerdict) -> str:
         f"compared      {verdict.pairs} {what}",
     ]
     if verdict.deviations:
-        lines += ["", f"{'replayed - recorded':<22}{'rms':>12}{'largest':>12}{'last':>12}"]
-        lines += [f"{d.of:<22}{d.rms:>12.4g}{d.max_abs:>12.4g}{d.final:>+12.4g} {d.unit}" for d in verdict.deviations]
-    if verdict.shares:
-        lines += ["", f"{'plans':<22}{'recorded':>12}{'replayed':>12}"]
-        lines += [
-            f"{share.origin:<22}{100 * share.recorded:>10.1f} %{100 * share.replayed:>10.1f} %"
-            for share in verdict.shares
+        head = "replayed - recorded", "rms", "largest", "last"
+        rows = [
+            (f"{d.of} ({d.unit})", f"{d.rms:.4g}", f"{d.max_abs:.4g}", f"{d.final:+.4g}") for d in verdict.deviations
         ]
+        lines += ["", *columns([head, *rows], numbers=True)]
+    if verdict.shares:
+        shares = [(one.origin, f"{100 * one.recorded:.1f} %", f"{100 * one.replayed:.1f} %") for one in verdict.shares]
+        lines += ["", *columns([("plans", "recorded", "replayed"), *shares], numbers=True)]
     lines += ["", *_provenance_differences(verdict.provenance_differences), verdict.recording]
     return "\n".join(lines)
 
 
-def _table(nodes: Iterable[NodeVerdict]) -> Iterator[str]:
-    yield f"{'node':<14}{'starts':>7}{'steps run':>12}{'compared':>12}{'identical':>12}{'outputs':>12}"
-    for node in nodes:
-        steps = f"{node.steps_run:>12}{node.steps_compared:>12}{node.steps_identical:>12}"
-        yield f"{node.node:<14}{node.starts:>7}{steps}{node.outputs_compared:>12}"
+def _cells(node: NodeVerdict) -> tuple[str, ...]:
+    counts = node.starts, node.steps_run, node.steps_compared, node.steps_identical, node.outputs_compared
+    return node.node, *map(str, counts)
 
 
 def _losses(verdict: Verdict) -> Iterator[str]:

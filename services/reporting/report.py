@@ -19,7 +19,7 @@ from services.recording.node_settings import SCENARIO, table_of, vehicle_name
 from services.recording.writer import VEHICLE_MODE
 from services.reporting import differences, static_files
 from services.reporting.assessment import assessment
-from services.reporting.html_table import NUMBER, Cell, number, row, table
+from services.reporting.html_table import NUMBER, Cell, row, table
 from services.reporting.plots import palette
 from services.reporting.plots.catalogue import PLOTS, REVIEW
 from services.reporting.plots.collector import ROWS
@@ -190,26 +190,14 @@ def _file(title: str, text: str) -> str:
 
 
 def _figures(runs: Sequence[Run], figures: Sequence[differences.Row]) -> str:
-    """Return the table of figures; several runs have a column each, then the differences to the first."""
     names = ["value"] if len(runs) == 1 else [run.name for run in runs]
-    names += [f"{run.name} − first" for run in runs[1:]]
-    body = "".join(
-        row(
-            (
-                f"{one.label} ({one.unit})" if one.unit else one.label,
-                *(number(value, one.digits) for value in one.values),
-                *(number(value, one.digits, signed=True) for value in one.differences),
-            )
-        )
-        for one in figures
-    )
-    content = table("Results", ("figure", *((name, NUMBER) for name in names)), body)
+    content = table("Results", differences.table(names, figures), numbers=True)
     return f'<section id="figures" class="panel{" wide" if len(runs) > 1 else ""}"><h3>Results</h3>{content}</section>'
 
 
 def _events(run: Run, data: PlotData) -> str:
     title, head = f"Events of {run.name}", (("time (s)", NUMBER), "process", "what happened")
-    content = table(title, head, _event_rows(data), frame="scroll events")
+    content = table(title, [head, *_event_rows(data)], frame="scroll events")
     return f'<section class="panel"><h3>{html.escape(title)}</h3>{content}</section>'
 
 
@@ -223,7 +211,10 @@ def _safety(names: Sequence[str], plot_data: Sequence[PlotData]) -> str:
         for fact in data.safety.facts()
     )
     return static_files.safe_part(
-        facts=facts, processes=_processes(data), events=_event_rows(data), sortable=' class="sortable"'
+        facts=facts,
+        processes=_processes(data),
+        events="".join(map(row, _event_rows(data))),
+        sortable=' class="sortable"',
     )
 
 
@@ -234,7 +225,7 @@ def _processes(data: PlotData) -> str:
             (
                 one.name,
                 f"{one.state}{f', started {one.starts} times' if one.starts > 1 else ''}",
-                number(one.step_us, 0),
+                ("-" if one.step_us is None else f"{one.step_us:.0f}", NUMBER),
                 (str(one.lost), f"{NUMBER} bad" if one.lost else NUMBER),
             )
         )
@@ -255,14 +246,13 @@ def _of_several(names: Sequence[str], plot_data: Sequence[PlotData]) -> str:
             facts["messages lost"] = (str(lost), Mood.BAD if lost else Mood.GOOD)
         columns.append(facts)
     every = dict.fromkeys(name for facts in columns for name in facts)
-    body = "".join(row((name, *(facts.get(name, "–") for facts in columns))) for name in every)
-    content = table("Safety", ("fact", *names), body, kind="facts")
+    rows = [("fact", *names), *((name, *(facts.get(name, "-") for facts in columns)) for name in every)]
+    content = table("Safety", rows, kind="facts")
     return f'<section class="part"><h2>{Group.SAFE.value}</h2><div class="panel">{content}</div></section>'
 
 
-def _event_rows(data: PlotData) -> str:
-    """Return the rows of the table of events."""
+def _event_rows(data: PlotData) -> list[tuple[Cell, ...]]:
     rows: list[tuple[Cell, ...]] = [((f"{mark.t_s:.1f}", NUMBER), mark.node, mark.text) for mark in data.marks]
     if data.omitted_marks or not rows:
         rows.append(("", "", (f"and {data.omitted_marks} more" if rows else "no events", "quiet")))
-    return "".join(map(row, rows))
+    return rows

@@ -9,8 +9,7 @@ from typing import Any
 
 from ltv_mpc.errors import one_line
 from services.reporting.assessment import assessment
-
-WIDTH = 80
+from services.runtime.console import WIDTH, figure
 
 DRIFT = "since t = 0"
 """What an error of the vehicle is without the error of the fix at t = 0."""
@@ -68,38 +67,32 @@ def how(summary: Mapping[str, Any]) -> str:
 
 
 def _error(spread: Mapping[str, float | None], meaning: str) -> str:
-    return (
-        f"mean {_figure(spread['mean'], '.3f')}, max {_figure(spread['max'], '.3f')},"
-        f" end {_figure(spread['final'], '.3f')} m ({meaning})"
-    )
+    mean, largest, end = (figure(spread[name], digits=".3f") for name in ("mean", "max", "final"))
+    return f"mean {mean}, max {largest}, end {end} m ({meaning})"
 
 
 def _thrust(thrust: Mapping[str, float | None]) -> str:
-    saturated = thrust["saturated_fraction"]
     return (
-        f"mean |F| {_figure(thrust['mean_abs_N'], '.1f')}, max {_figure(thrust['max_abs_N'], '.1f')} N,"
-        f" saturated {_figure(None if saturated is None else 100 * saturated, '.1f')} %,"
-        f" slew {_figure(thrust['max_slew_N_per_s'], '.0f')} N/s"
-        f" (delivered {_figure(thrust.get('max_delivered_slew_N_per_s'), '.0f')})"
+        f"mean |F| {figure(thrust['mean_abs_N'], digits='.1f')}, max {figure(thrust['max_abs_N'], digits='.1f')} N,"
+        f" saturated {figure(thrust['saturated_fraction'], digits='.1f', scale=100)} %,"
+        f" slew {figure(thrust['max_slew_N_per_s'], digits='.0f')} N/s"
+        f" (delivered {figure(thrust.get('max_delivered_slew_N_per_s'), digits='.0f')})"
     )
 
 
 def _energy(thrust: Mapping[str, float | None]) -> str:
-    power = thrust.get("relative_power")
-    relative = f"{_figure(None if power is None else 100 * power, '.1f')} % of full lateral power"
+    relative = f"{figure(thrust.get('relative_power'), digits='.1f', scale=100)} % of full lateral power"
     if (energy_J := thrust.get("propulsive_energy_J")) is None:
         return f"{relative}; no torque coefficients given"
-    return f"{energy_J:.0f} J (lateral thrusters {_figure(thrust.get('lateral_energy_J'), '.0f')} J), {relative}"
+    return f"{energy_J:.0f} J (lateral thrusters {figure(thrust.get('lateral_energy_J'), digits='.0f')} J), {relative}"
 
 
 def _delay(vehicle: Mapping[str, float | None], wall: Mapping[str, float | None]) -> str:
-    text = ", ".join(f"{name} {_figure(vehicle[name], '.3f')}" for name in ("median", "p99", "max")) + " s"
+    names = "median", "p99", "max"
+    text = ", ".join(f"{name} {figure(vehicle[name], digits='.3f')}" for name in names) + " s"
     if wall["median"] is None:
         return text
-    figures = ", ".join(
-        _figure(None if (x := wall[name]) is None else 1e3 * x, ".1f") for name in ("median", "p99", "max")
-    )
-    return f"{text} (wall {figures} ms)"
+    return f"{text} (wall {', '.join(figure(wall[name], digits='.1f', scale=1e3) for name in names)} ms)"
 
 
 def _cycles(summary: Mapping[str, Any]) -> str:
@@ -115,7 +108,3 @@ def _messages(messages: Mapping[str, int], restarts: int) -> str:
     if denied := messages.get("denied"):
         text += f", {denied} denied"
     return f"{text}; restarts: {restarts}" if restarts else text
-
-
-def _figure(value: float | None, digits: str) -> str:
-    return "-" if value is None else f"{value:{digits}}"

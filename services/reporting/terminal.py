@@ -20,7 +20,7 @@ from rich.text import Text
 from ltv_mpc.errors import one_line
 from ltv_mpc.messages import ControllerStatus, SensorStatus
 from services.reporting.plots.collector import Collector
-from services.runtime.console import WIDTH, drawn, fold
+from services.runtime.console import WIDTH, drawn, figure, fold
 from services.supervisor.screen import LiveView, in_order
 
 Limits = Sequence[tuple[float, float]]
@@ -211,10 +211,12 @@ def _motion(view: LiveView, collector: Collector) -> list[str]:
         at = (estimate.depth_m or 0.0, current.depth_m)
         current_mps = math.hypot(np.interp(*at, current.north_mps), np.interp(*at, current.east_mps))
         words += f"   current {current_mps:.3f} m/s"
-    error = f"estimate from the reference {_metres(collector.error_m)}"
+    error = f"estimate from the reference {figure(collector.error_m, 'm', digits='.3f', none='- m')}"
     if view.truth is not None:
         vehicle = f"vehicle {'' if collector.since else 'from the reference '}"  # 80 columns
-        error += f"   {vehicle}{_metres(collector.true_error_m)} {collector.since}".rstrip()
+        error += (
+            f"   {vehicle}{figure(collector.true_error_m, 'm', digits='.3f', none='- m')} {collector.since}".rstrip()
+        )
     return [f"motion  {words}", f"error   {error}", *_control(controller, lasts)]
 
 
@@ -289,7 +291,3 @@ def observe(collector: Collector, view: LiveView) -> None:
 
 def _seconds(t_ns: int, digits: int = 1) -> str:
     return f"{t_ns / 1e9:z.{digits}f}"
-
-
-def _metres(distance: float | None) -> str:
-    return "- m" if distance is None else f"{distance:.3f} m"

@@ -81,11 +81,12 @@ def provenance_table() -> dict[str, str]:
         "numba_cpu": _numba_cpu(),
         "blas": _blas(),
     }
-    return table | {package: _version(package) for package in PACKAGES}
+    return table | {package: package_version(package) for package in PACKAGES}
 
 
 @cache  # it reads and parses a file for each package
-def _version(package: str) -> str:
+def package_version(package: str) -> str:
+    """Return the version of an installed distribution."""
     try:
         return metadata.version(package)
     except metadata.PackageNotFoundError:

@@ -52,6 +52,11 @@ def counted(number: int, noun: str, plural: str | None = None) -> str:
     return f"{number} {noun if number == 1 else plural or f'{noun}s'}"
 
 
+def figure(value: float | None, unit: str = "", *, digits: str, none: str = "-", scale: float = 1.0) -> str:
+    """Format a number with its unit, ``none`` if it is missing; ``scale`` converts it to the unit."""
+    return none if value is None else f"{scale * value:{digits}} {unit}".rstrip()
+
+
 def columns(rows: Sequence[Sequence[str]], *, numbers: bool = False) -> list[str]:
     """Align cells in columns, to the left; with ``numbers`` all but the first column to the right."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from functools import partial
 
 import msgspec
 import numpy as np
@@ -18,6 +19,7 @@ from ltv_mpc.references.schedule import EAST, NORTH, WAY, Schedule
 from ltv_mpc.vehicle.parameters import Vehicle
 from ltv_mpc.vehicle.performance import Performance, performance, sideways_drag_N, stopping
 from services.reporting.plots.fence import boundary
+from services.runtime.console import figure
 from services.tools.fence_check import ZoneCheck, check_fence, distance, sample
 
 
@@ -87,6 +89,8 @@ LABEL_WIDTH = 38
 COLUMNS, ROWS = 72, 24
 ASPECT = 2.0
 """Height of a letter over its width."""
+
+_metres = partial(figure, unit="m", digits=".3g", none="none")
 
 
 class MissionCheck(msgspec.Struct, frozen=True, kw_only=True):
@@ -225,7 +229,7 @@ def table(of: MissionCheck) -> str:
         ("stopping distance with drift", _metres(of.stopping_m)),
     ]
     if of.zones and of.length_m > 0.0:
-        rows.append(("narrowest corridor", "open" if of.corridor_m is None else f"{of.corridor_m:.3g} m"))
+        rows.append(("narrowest corridor", _metres(of.corridor_m, none="open")))
         rows.append(("width that the vehicle needs", _metres(of.needed_m)))
     if of.bottom is not None:
         rows.append(("altitude of the reference", f"{of.bottom.altitude_m:.3g} m or more, {of.bottom.place}"))
@@ -238,10 +242,6 @@ def table(of: MissionCheck) -> str:
     lines += [f"  note: {note}" for note in of.notes]
     lines += [f"  problem: {problem}" for problem in of.problems] or ["  no problems"]
     return "\n".join(lines)
-
-
-def _metres(value: float | None) -> str:
-    return "none" if value is None else f"{value:.3g} m"
 
 
 def _schedule(vehicle: Vehicle, reference: Reference, start: Pair | None) -> tuple[Schedule | None, Array, float]:

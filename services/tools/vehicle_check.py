@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from functools import partial
 
 import msgspec
 import numpy as np
@@ -17,7 +18,7 @@ from ltv_mpc.vehicle.performance import Performance, performance
 from ltv_mpc.vehicle.plausibility import warnings
 from ltv_mpc.vehicle.propulsion import propulsive_power_W
 from ltv_mpc.vehicle.reference_point import ReferencePoint
-from services.runtime.console import fold
+from services.runtime.console import figure, fold
 from services.tools.mission_check import MissionCheck
 
 MARGIN_SHARES = (0.0, 0.1, 0.2, 0.4, 0.6, 0.8)
@@ -105,7 +106,7 @@ def table(of: Check) -> str:
         ),
         (
             "power, full ahead at rest",
-            "no torque coefficients" if of.full_power_W is None else f"{of.full_power_W:.3g} W",
+            _value(of.full_power_W, "W", none="no torque coefficients"),
         ),
         ("without a new plan", f"thrusters at rest after {of.plan_timeout_s:g} s"),
         ("proposed horizon", f"{of.horizon_s:g} s, the default of every controller"),
@@ -135,12 +136,11 @@ def _margin_rows(of: Check) -> Iterator[tuple[str, str]]:
         yield "", "ahead and in heading only: to the side this hull reacts at second order, so fly it to see"
 
 
+_value = partial(figure, digits=".3g", none="none")
+
+
 def _kept(mps: float | None) -> str:
     return "in none" if mps is None else f"up to {mps:.3g} m/s"
-
-
-def _value(number: float | None, unit: str) -> str:
-    return "none" if number is None else f"{number:.3g} {unit}"
 
 
 def _degrees(rate: float | None) -> str:

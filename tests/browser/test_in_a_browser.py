@@ -142,7 +142,7 @@ def test_a_table_is_sorted_by_its_column_and_rows_without_a_value_stay_last(brow
         for _ in range(2):
             head.click()
             *values, missing = page.locator("#figures tbody tr").evaluate_all(cells)
-            assert missing == "–"
+            assert missing == "-"
             orders.append([float(value) for value in values])
         assert orders[0] == sorted(orders[0])
         assert orders[1] == sorted(orders[0], reverse=True)

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from ltv_mpc.currents import WaterPrior
 from ltv_mpc.messages import Applied, Array, CurrentProfile, Estimate, FenceInForce, Plan
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.reporting.plots import fence, vehicle_from_above
@@ -58,7 +59,7 @@ class NewestState:
             **vehicle_from_above.tables(self.estimate, self.applied, vehicle, self.profile),
             **fence.tables(self.fence, self.plan),
             "ellipse": ellipse,
-            "profile": self._profile(),
+            "profile": profile_table(self.profile),
         }
 
     def _of_plan(self, seconds: Callable[[int], float], heading_deg: Callable[[float], float]) -> dict[str, Columns]:
@@ -73,15 +74,15 @@ class NewestState:
         target = points() if plan.reference_m is None else points(np.array([plan.reference_m]))
         return {"horizon": points(plan.states[:, :2]), "ahead": ahead, "target": target}
 
-    def _profile(self) -> Columns:
-        """Return the table of the current with its 2-sigma band, one row for each depth."""
-        profile = self.profile
-        if profile is None:
-            return {}
-        columns: Columns = {"depth_m": shorts(profile.depth_m)}
-        for name, velocity in (("north", profile.north_mps), ("east", profile.east_mps)):
-            columns[f"{name}_mps"] = shorts(velocity)
-            if profile.sd_mps is not None:
-                columns[f"{name}_low_mps"] = shorts(velocity - SIGMAS * profile.sd_mps)
-                columns[f"{name}_high_mps"] = shorts(velocity + SIGMAS * profile.sd_mps)
-        return columns
+
+def profile_table(profile: CurrentProfile | WaterPrior | None) -> Columns:
+    """Return the table of the current with its 2-sigma band, one row for each depth; empty if it is not known."""
+    if profile is None:
+        return {}
+    columns: Columns = {"depth_m": shorts(profile.depth_m)}
+    for name, velocity in (("north", profile.north_mps), ("east", profile.east_mps)):
+        columns[f"{name}_mps"] = shorts(velocity)
+        if profile.sd_mps is not None:
+            columns[f"{name}_low_mps"] = shorts(velocity - SIGMAS * profile.sd_mps)
+            columns[f"{name}_high_mps"] = shorts(velocity + SIGMAS * profile.sd_mps)
+    return columns

@@ -41,8 +41,8 @@
 
   // Return the value of a cell: a number if it is one, null if there is none.
   function cell(td) {
-    const text = td ? td.textContent.replace("−", "-") : "";
-    if (text === "" || text === "–") return null;
+    const text = td ? td.textContent : "";
+    if (text === "" || text === "-") return null;
     return Number.isNaN(Number(text)) ? text : Number(text);
   }
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from services.reporting import report
-from services.reporting.html_table import NUMBER, row, table
+from services.reporting.html_table import table
 from services.reporting.plots import palette
 from services.reporting.plots.description import Axis, Plot, Series, Style
 from services.reporting.plots.table import Columns
@@ -32,8 +32,7 @@ def write(folder: Path) -> Path:
     made, found = reopen_campaign(folder)
     campaign, rows = made.campaign, list(found)
     of = scores(rows, campaign.minimise, campaign.varied)
-    head = ((name, NUMBER) for name in (*campaign.varied, *HEAD))
-    best = "".join(row((cell, NUMBER) for cell in cells(one)) for one in ranked(of, MAX_POINTS))
+    best = table("The best points", [(*campaign.varied, *HEAD), *map(cells, ranked(of, MAX_POINTS))], numbers=True)
     counts = f"{counted(len(rows), 'run')} at {counted(len(of.values), 'point')}"
     lines = [
         html.escape(f"{counts}, {campaign.design.kind} design: {campaign.scenario}"),
@@ -49,7 +48,7 @@ def write(folder: Path) -> Path:
         [plot for plot, _ in panels],
         tables,
         lines="\n".join(f"<p>{line}</p>" for line in lines),
-        below=f'<section class="panel wide"><h2>The best points</h2>{table("The best points", head, best)}</section>',
+        below=f'<section class="panel wide"><h2>The best points</h2>{best}</section>',
     )
     return out
 

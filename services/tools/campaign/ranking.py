@@ -105,7 +105,7 @@ def interval(values: Array) -> ConfidenceInterval:
 def cells(of: Standing) -> list[str]:
     """Return the row of a point in the table: the values of its keys, and the columns of ``HEAD``."""
     settings = [f"{value:.4g}" if isinstance(value, float) else one_line(str(value)) for value in of.settings.values()]
-    mean = "–" if of.value is None else f"{of.value.mean:.4g}"
+    mean = "-" if of.value is None else f"{of.value.mean:.4g}"
     over = "" if of.over_best is None else f"{of.over_best.mean:+.3g} ({_span(of.over_best)})".removesuffix(" ()")
     return [*settings, mean, _span(of.value), over, str(of.runs), str(of.failed or "")]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from itertools import cycle
 from pathlib import Path
 
@@ -17,7 +17,7 @@ from services.reporting import report
 from services.reporting.plots import palette
 from services.reporting.plots.description import Axis, Level, Plot, Series, Style
 from services.reporting.plots.table import Columns
-from services.runtime.console import counted
+from services.runtime.console import columns, counted
 from services.tools.dive_plan.plan import POINTS, DivePlan, RecordedDrift
 
 SECOND_NS = 1_000_000_000
@@ -62,30 +62,33 @@ def recorded_drift(messages: Iterable[StoredMessage]) -> RecordedDrift:
 
 def text(of: DivePlan) -> str:
     """Format the plan as tables."""
-    names = _names(of)
-    shown = [POINTS * k // 4 - 1 for k in range(1, 5)]
+    end, at_the_end = of.drift_m[0][-1], f"{of.duration_s:.0f} s with {_names(of)[0]}"
+    shares = [(name, f"{100 * share:.1f} %") for name, share in of.budget.items() if share >= SHOWN_SHARE]
+    gains = [(name, f"{drift:.2f} m", f"{100 * (drift / end - 1):+.0f} %") for name, drift in of.gains_m.items()]
     lines = [
         f"dive of {of.duration_s:.0f} s to {of.depth_m:.0f} m, sensors {of.sensors}, "
         f"{counted(of.runs, 'simulated dive')}",
         "expected drift since submergence, standard deviation of one horizontal axis (m)",
-        "  ".join([f"{'':12}", *(f"{of.t_s[k]:>6.0f} s" for k in shown), f"{'95 % within':>12}"])
-        + (f"  {of.limit_m:g} m reached" if of.limit_m is not None else ""),
+        *columns(list(_drifts(of)), numbers=True),
+        *("", f"error budget at {at_the_end}: share of the variance", *columns(shares, numbers=True)),
+        *("", f"drift at {at_the_end} ({end:.2f} m) after one change", *columns(gains, numbers=True)),
     ]
-    for name, drifts, radius, when in zip(names, of.drift_m, of.radius_95_m, of.limit_reached_s, strict=True):
-        row = "  ".join([f"{name:12}", *(f"{drifts[k]:>8.2f}" for k in shown), f"{radius:>10.2f} m"])
-        reached = "" if of.limit_m is None else "  not in the dive" if when is None else f"  after {when:.0f} s"
-        lines.append(row + reached)
-    end, first = of.drift_m[0][-1], names[0]
-    lines += ["", f"error budget at {of.duration_s:.0f} s with {first}: share of the variance"]
-    lines += [f"{name:36} {100 * share:5.1f} %" for name, share in of.budget.items() if share >= SHOWN_SHARE]
-    lines += ["", f"drift at {of.duration_s:.0f} s with {first} ({end:.2f} m) after one change"]
-    lines += [f"{name:36} {drift:5.2f} m  {100 * (drift / end - 1):+4.0f} %" for name, drift in of.gains_m.items()]
     if of.against is not None:
         label = {"true": "error of the run", "reported": "drift that the filter of the run reports"}[of.against.kind]
         lines += ["", f"{label} at {of.against.t_s[-1]:.0f} s: {of.against.drift_m[-1]:.2f} m an axis"]
     if of.not_counted:
         lines.append(f"not counted: {', '.join(of.not_counted)}; with them the drift is smaller")
     return "\n".join(lines + [f"note: {note}" for note in of.notes])
+
+
+def _drifts(of: DivePlan) -> Iterator[tuple[str, ...]]:
+    """Yield the rows of the drift over time, the head first."""
+    shown, limit_m = [POINTS * k // 4 - 1 for k in range(1, 5)], of.limit_m
+    limited = () if limit_m is None else (f"{limit_m:g} m reached",)
+    yield "", *(f"{of.t_s[k]:.0f} s" for k in shown), "95 % within", *limited
+    for name, drifts, radius, when in zip(_names(of), of.drift_m, of.radius_95_m, of.limit_reached_s, strict=True):
+        reached = "not in the dive" if when is None else f"after {when:.0f} s"
+        yield name, *(f"{drifts[k]:.2f}" for k in shown), f"{radius:.2f} m", *(limited and (reached,))
 
 
 def write(of: DivePlan, out: Path) -> None:

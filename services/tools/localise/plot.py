@@ -5,14 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import msgspec
 import numpy as np
 
 from ltv_mpc.messages import Array
 from services.reporting import report
 from services.reporting.plots import palette
+from services.reporting.plots.catalogue import CURRENT
 from services.reporting.plots.description import Axis, Plot, Series, Style
-from services.reporting.plots.newest import outline
-from services.reporting.plots.table import Columns, short
+from services.reporting.plots.newest import outline, profile_table
+from services.reporting.plots.table import Columns, shorts
 
 if TYPE_CHECKING:
     from services.tools.localise.dive_localisation import Outcome
@@ -47,43 +49,32 @@ PLOTS = (
             Series("constant velocity", "constant", "t_s", "error_m", palette.OTHER, Style.DASHED),
         ),
     ),
-    Plot(
-        name="current",
-        title="Current at the end, with 1 sigma",
-        x=Axis("current (m/s)"),
-        y=Axis("depth (m)", downwards=True),
+    msgspec.structs.replace(
+        CURRENT,
+        title="Water current over depth, at the end",
         group=RESULT,
-        series=tuple(
-            series
-            for name, colour in (("north", palette.NORTH), ("east", palette.EAST))
-            for series in (
-                Series("", "water", f"{name}_low", "depth_m", colour, Style.BAND, x_high=f"{name}_high"),
-                Series(name, "water", name, "depth_m", colour),
-            )
-        ),
+        note="Bands are two standard deviations.",
+        series=tuple(series for series in CURRENT.series if series.table == "profile"),
     ),
 )
 
 
 def write(data: Outcome, out: Path) -> None:
     """Write the page of plots. Raises ``NoPlotly``."""
-    track, water = data.track, data.track.water
+    track = data.track
     spread = np.sqrt(np.linalg.eigvalsh(track.position_covariance)[:, -1].clip(0))
     ring = track.position_m[-1] + outline(track.position_covariance[-1], 3.0)
     tables = {
         "truth": _columns(track.t_s, data.truth_m),
         "filter": _columns(track.t_s, track.position_m, data.truth_m)
-        | {"zero": [0.0] * len(spread), "three_sigma_m": list(map(short, 3.0 * spread))},
+        | {"zero": [0.0] * len(spread), "three_sigma_m": shorts(3.0 * spread)},
         "ellipse": _columns(np.zeros(len(ring)), ring),
-        "water": {"depth_m": list(map(short, water.depth_m))},
+        "profile": profile_table(track.water),
         "constant": {},
     }
     if data.constant_velocity_mps is not None:
         path = data.constant_velocity_mps * track.t_s[:, None]
         tables["constant"] = _columns(track.t_s, path, data.truth_m)
-    for name, velocity in (("north", water.north_mps), ("east", water.east_mps)):
-        edges = {"": velocity, "_low": velocity - water.sd_mps, "_high": velocity + water.sd_mps}
-        tables["water"] |= {f"{name}{edge}": list(map(short, values)) for edge, values in edges.items()}
     report.write_plots(out, RESULT, PLOTS, tables)
 
 
@@ -92,4 +83,4 @@ def _columns(t_s: Array, position_m: Array, truth_m: Array | None = None) -> Col
     columns = {"t_s": t_s, "north_m": position_m[:, 0], "east_m": position_m[:, 1]}
     if truth_m is not None:
         columns["error_m"] = np.hypot(*(position_m - truth_m).T)
-    return {name: list(map(short, values)) for name, values in columns.items()}
+    return {name: shorts(values) for name, values in columns.items()}

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from ltv_mpc.localisation.recorded_dive.study import MAX_START_DEPTH_M, MIN_START_DEPTH_M, WINDOW_S, StartResult
 from ltv_mpc.localisation.recorded_dive.uniformity import Uniformity
+from services.runtime.console import figure
 from services.tools.localise.dive_localisation import LocalisationResult, StudyRow
 
+_metres = partial(figure, unit="m", digits=".1f", none="unknown")
 _STARTS = f"between {MIN_START_DEPTH_M:g} and {MAX_START_DEPTH_M:g} m"
 
 
@@ -63,7 +67,3 @@ def _study_text(s: StudyRow | None) -> str:
         f" constant velocity {_metres(s.median_constant_velocity_error_m)},{ratio}"
         f" inside 3 sigma {100 * s.inside_3_sigma:.0f} %"
     )
-
-
-def _metres(distance_m: float | None) -> str:
-    return "unknown" if distance_m is None else f"{distance_m:.1f} m"

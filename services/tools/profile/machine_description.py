@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable
-from importlib import metadata
 
-from services.run.provenance import provenance_table
+from services.run.provenance import package_version, provenance_table
 
 Machine = dict[str, str | int | list[float]]
 
@@ -18,7 +17,7 @@ def machine(load_before: list[float], packages: Iterable[str] = SOLVERS) -> Mach
     """Describe this machine; ``load_before`` is the result of ``load`` before the measurement."""
     return {
         **provenance_table(),
-        **{package: version(package) for package in packages},
+        **{package: package_version(package) for package in packages},
         "cores": os.cpu_count() or 1,
         "load_before": load_before,
         "load_after": load(),
@@ -28,14 +27,6 @@ def machine(load_before: list[float], packages: Iterable[str] = SOLVERS) -> Mach
 def load() -> list[float]:
     """Return the mean number of running and waiting processes over 1, 5 and 15 minutes."""
     return [round(mean, 2) for mean in os.getloadavg()]
-
-
-def version(package: str) -> str:
-    """Return the version of an installed distribution."""
-    try:
-        return metadata.version(package)
-    except metadata.PackageNotFoundError:
-        return "not installed"
 
 
 def line(of: Machine, packages: Iterable[str] = ("numpy", "numba", "osqp", "piqp")) -> str:
