@@ -136,7 +136,7 @@ def test_a_table_is_sorted_by_its_column_and_rows_without_a_value_stay_last(brow
     cells = "rows => rows.map(row => row.cells[1].textContent)"
     with tab(browser, SCREEN, own=reports[0].as_uri()) as page:
         page.goto(reports[0].as_uri())
-        page.evaluate("document.querySelector('#figures tbody tr td:nth-child(2)').textContent = '–'")
+        page.evaluate("document.querySelector('#figures tbody tr td:nth-child(2)').textContent = '-'")
         head = page.locator("#figures button.sort").nth(1)
         orders = []
         for _ in range(2):
