@@ -51,6 +51,7 @@ def plan_(
     import msgspec
 
     from services.recording.reader import Recording
+    from services.recording.recover import segments
     from services.reporting.terminal import progress_bar
     from services.run import folder
     from services.tools.dive_plan import plan, report
@@ -60,7 +61,7 @@ def plan_(
     numbers = _numbers(fixes)
     wanted = plan.Dive(sensors, reference, duration_s, 40.0 if depth_m is None else depth_m, max(numbers), 0)
     wanted.run_config()
-    recorded = None if against is None else report.recorded_drift(Recording(folder.find(against)))
+    recorded = None if against is None else report.recorded_drift(Recording(*segments(folder.find(against))))
     written = None if out is None else folder.open_folder(out, force=force)
     with progress_bar(f"dives with {sensors} sensors") as progress:
         result = plan.plan(wanted, fixes=numbers, runs=runs, limit_m=limit_m, progress=progress)

@@ -32,6 +32,7 @@ from ltv_mpc.vehicle.parameters import Vehicle
 from ltv_mpc.vehicle.shooting_fit import MAX_GAP_S, SEGMENT_S, Motion
 from services.recording.acceptance import accepted
 from services.recording.reader import Recording
+from services.recording.recover import segments
 from services.run import folder
 from services.run.folder import RunFolder
 from services.runtime.console import columns
@@ -102,7 +103,7 @@ def identify_run(path: Path, vehicle: Vehicle, known: Known, known_yaw: KnownYaw
             estimates, notes = list(map(to_origin, log.estimates)), log.notes
             motion = motion_of_log(estimates, log)
         else:
-            found = list(accepted(Recording(path), (Estimate, Applied, Plan)))
+            found = list(accepted(Recording(*segments(path)), (Estimate, Applied, Plan)))
             estimates = [to_origin(message) for message, *_ in found if isinstance(message, Estimate)]
             reports = [message for message, *_ in found if isinstance(message, Applied)]
             plans = [(t_ns, message) for message, _, t_ns in found if isinstance(message, Plan)]

@@ -29,6 +29,7 @@ from ltv_mpc.references import Point, Reference
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.wire import WireError
 from services.recording.reader import Recording
+from services.recording.recover import segments
 from services.run import folder
 from services.run.folder import RunFolder
 from services.run.nodes import make_nodes
@@ -190,7 +191,7 @@ def _replay(recording: Path, node: Node, is_done: Callable[[], bool]) -> None:
     """
     kinds = frozenset((StepRecord, *node.reads))
     received: dict[tuple[str, int, int], Message] = {}
-    for stored in Recording(recording):
+    for stored in Recording(*segments(recording)):
         if stored.kind not in kinds:
             continue
         try:

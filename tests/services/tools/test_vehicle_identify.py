@@ -101,9 +101,9 @@ def test_without_reports_only_plans_in_force_are_used() -> None:
     assert used([], plans) == {k + i for k in range(0, 200, 50) for i in range(31)}
 
 
-def record(path: Path, messages: Iterable[Message | tuple[int, Plan]]) -> str:
-    path.mkdir()
-    with RunWriter(path / "run.mcap", start_ns=0, metadata={}, flush_s=None) as writer:
+def record(path: Path, messages: Iterable[Message | tuple[int, Plan]], segment: str = "run.mcap") -> str:
+    path.mkdir(exist_ok=True)
+    with RunWriter(path / segment, start_ns=0, metadata={}, flush_s=None) as writer:
         for i, message in enumerate(messages):
             t_ns, published = message if isinstance(message, tuple) else (message.t_ns, message)
             writer.write("estimator", published, Header(epoch=1, sequence=i), t_ns)
@@ -136,3 +136,12 @@ def test_a_log_to_which_nothing_can_be_fitted_is_one_line_and_exit_code_2(
     assert "run.mcap" in error
     assert says in error
     assert error.strip().count("\n") == 0
+
+
+def test_all_segments_of_a_recording_are_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The first alone is too short for a fit."""
+    messages = both(COUNT, 0.0, 10.0)
+    record(tmp_path / "log", messages[:40])
+    log = record(tmp_path / "log", messages[40:], "run.2.mcap")
+    assert run(["vehicle", "identify", log, "--vehicle", "paper"]) == 2
+    assert "velocity and yaw rate are constant" in capsys.readouterr().err
