@@ -11,8 +11,7 @@ import pytest
 
 pytest.importorskip("rosbags", reason="not installed: pip install rosbags (extra ros2)")
 
-from ltv_mpc import Vehicle
-from services.edges.ros2.conversions import Settings
+from services.edges.ros2.conversions import FRAME
 from services.edges.ros2.topics import BY_NAME, IN, OUT, TABLE
 from tests.docs.pages import ROOT
 from tests.docs.test_blocks import parsed
@@ -68,7 +67,7 @@ def test_the_launch_file_has_elements_of_ros_and_command_lines_of_ours() -> None
 def test_rviz_shows_every_topic_that_it_can_and_sends_goals() -> None:
     yaml = pytest.importorskip("yaml", reason="not installed: pip install pyyaml")
     manager = yaml.safe_load((FOLDER / "ltv_mpc.rviz").read_text())["Visualization Manager"]
-    assert manager["Global Options"]["Fixed Frame"] == Settings(vehicle=Vehicle.load("paper")).frame
+    assert manager["Global Options"]["Fixed Frame"] == FRAME
     shown: dict[str, tuple[str, Any]] = {}
     for one in (*manager["Displays"], *manager["Tools"], manager["Views"]["Current"]):
         package, _, kind = one["Class"].partition("/")
