@@ -48,15 +48,8 @@ from ltv_mpc.messages import (
 from ltv_mpc.node import Cycle, Inbox, ReceivedMessage, Stopwatch, no_stopwatch
 from ltv_mpc.references import Reference
 from ltv_mpc.safety.command_arbiter import MANUAL_TIMEOUT_NS, CommandArbiter
-from ltv_mpc.safety.health import (
-    NOMINAL,
-    SECOND_SOURCE,
-    HealthState,
-    InputMonitor,
-    plan_timeout_ns,
-    report_health,
-    worst,
-)
+from ltv_mpc.safety.health import NOMINAL, HealthState, plan_timeout_ns, report_health, worst
+from ltv_mpc.safety.input_age import SECOND_SOURCE, InputMonitor
 from ltv_mpc.safety.mission_policy import MissionPolicy
 from ltv_mpc.safety.model_monitor import ModelMonitor
 from ltv_mpc.safety.source_selector import Source

@@ -41,7 +41,8 @@ import msgspec
 import numpy as np
 
 from ltv_mpc.messages import CurrentProfile, Estimate, Health, Pair
-from ltv_mpc.safety.health import DEFAULT_AGES, PREDICTED_TOO_FAR, Ages, HealthState, InputAge, health
+from ltv_mpc.safety.health import DEFAULT_AGES, PREDICTED_TOO_FAR, Ages, HealthState, health
+from ltv_mpc.safety.input_age import InputAge
 from ltv_mpc.validation import relation_reason
 from ltv_mpc.vehicle.parameters import Vehicle
 from ltv_mpc.vehicle.resistance import steady_speed

@@ -28,7 +28,8 @@ import msgspec
 from msgspec import Meta
 
 from ltv_mpc.messages import Battery, Health, Leak, MissionAction, MissionState
-from ltv_mpc.safety.health import HealthState, InputAge
+from ltv_mpc.safety.health import HealthState
+from ltv_mpc.safety.input_age import InputAge
 
 GO_ON, HOLD, SURFACE = MissionAction.GO_ON, MissionAction.HOLD, MissionAction.SURFACE
 WEAKEST_FIRST = (GO_ON, HOLD, SURFACE)

@@ -23,7 +23,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple, TypeVar
 
-from ltv_mpc.safety.health import DEGRADED_PERIODS, Contest, InputAge
+from ltv_mpc.safety.health import DEGRADED_PERIODS
+from ltv_mpc.safety.input_age import Contest, InputAge
 
 K = TypeVar("K")
 V = TypeVar("V")

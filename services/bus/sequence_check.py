@@ -15,7 +15,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-from ltv_mpc.safety.health import SECOND_SOURCE
+from ltv_mpc.safety.input_age import SECOND_SOURCE
 from services.bus.wire import Header, WireError
 
 MAX_SKIPPED = 20

@@ -16,7 +16,8 @@ from typing import cast
 import numpy as np
 
 from ltv_mpc.messages import Applied, Array, Authority, Health, Plan, Triple
-from ltv_mpc.safety.health import InputAge, plan_end_ns, plan_health
+from ltv_mpc.safety.health import plan_end_ns, plan_health
+from ltv_mpc.safety.input_age import InputAge
 from ltv_mpc.vehicle.parameters import PLAN_TIMEOUT_S, Vehicle
 
 PERIOD_NS = 100_000_000

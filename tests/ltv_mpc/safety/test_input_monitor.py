@@ -6,7 +6,7 @@ import msgspec
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ltv_mpc.safety.health import CLOCK_SET_BACK_NS, CONTESTED_NS, InputAge, InputMonitor
+from ltv_mpc.safety.input_age import CLOCK_SET_BACK_NS, CONTESTED_NS, InputAge, InputMonitor
 
 MS = 1_000_000
 
