@@ -25,7 +25,7 @@ import numpy as np
 from benchmarks.batch import in_order
 from ltv_mpc.control.config import ControllerConfig, MotionLimits
 from ltv_mpc.control.controller import Controller
-from ltv_mpc.control.prediction import advance
+from ltv_mpc.control.nominal_model import advance
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.solvers.recorder import QpRecorder
 from ltv_mpc.messages import CurrentProfile, Estimate, SolveStatus

@@ -14,10 +14,10 @@ if TYPE_CHECKING:
     from ltv_mpc.bathymetry import Bathymetry as Bathymetry
     from ltv_mpc.control.config import ControllerConfig as ControllerConfig
     from ltv_mpc.control.controller import Controller as Controller
+    from ltv_mpc.control.nominal_model import advance as advance
     from ltv_mpc.control.ocp.extension import Limit as Limit
     from ltv_mpc.control.ocp.extension import Motion as Motion
     from ltv_mpc.control.ocp.extension import Term as Term
-    from ltv_mpc.control.prediction import advance as advance
     from ltv_mpc.control.solvers import solve_qp as solve_qp
     from ltv_mpc.control.solvers.sparse import build_qp as build_qp
     from ltv_mpc.geofence.fence import Fence as Fence
@@ -38,7 +38,7 @@ _NAMES = {
     "ltv_mpc.bathymetry": ("Bathymetry",),
     "ltv_mpc.control.config": ("ControllerConfig",),
     "ltv_mpc.control.controller": ("Controller",),
-    "ltv_mpc.control.prediction": ("advance",),
+    "ltv_mpc.control.nominal_model": ("advance",),
     "ltv_mpc.control.ocp.extension": ("Limit", "Motion", "Term"),
     "ltv_mpc.control.solvers": ("solve_qp",),
     "ltv_mpc.control.solvers.sparse": ("build_qp",),

@@ -11,7 +11,8 @@ import numpy as np
 from benchmarks.fences import full_loop
 from benchmarks.fences.scenes import Scene, estimate_at_start, obstacle_at, scene_of, settings_of
 from ltv_mpc.control.controller import Controller
-from ltv_mpc.control.prediction import Prediction, as_estimate
+from ltv_mpc.control.nominal_model import as_estimate
+from ltv_mpc.control.prediction import Prediction
 from ltv_mpc.control.scaling import characteristic_scales
 from ltv_mpc.geofence.zones import clearances, pack_zones
 from ltv_mpc.messages import Array, Obstacles, Pair, SolveStatus

@@ -22,7 +22,7 @@ from benchmarks import sheet
 from benchmarks.paper import renderer
 from ltv_mpc import references
 from ltv_mpc.control.controller import Controller
-from ltv_mpc.control.prediction import advance
+from ltv_mpc.control.nominal_model import advance
 from ltv_mpc.geofence.fence import Fence
 from ltv_mpc.geofence.zones import clearances, pack_zones
 from ltv_mpc.messages import Array, CurrentProfile, Estimate, FenceInForce, Pair, Plan

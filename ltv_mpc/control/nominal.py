@@ -203,7 +203,7 @@ def steering_guess(o: Constants, start: Array, target: Array, astern: bool, C: A
 
     Parameters
     ----------
-    o, start, target, C : as in ``nominal.py``.
+    o, start, target, C : as at the head of this file.
     astern : True to steer with the stern ahead.
     X, U : are overwritten.
     """

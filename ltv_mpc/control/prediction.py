@@ -5,7 +5,12 @@ were sent before act, through the thrusters' lag. The delivered thrust follows t
 from the last report of the actuators that is not newer than the estimate, and without reports from rest before the
 first plan. Without newer estimates the prediction grows longer: ``mode.py`` says how long it is used.
 
-The same flow is a nominal vehicle (``advance``): it moves exactly as the controller's model says.
+The commands in force by time are everything that was sent, as one piecewise linear function (``SentCommands``). A plan
+takes over from the one before at its own start. After its end the commands ramp to rest at the slew limit, as
+the actuators do without a new plan (``plan_gate.py``): the lateral ones to zero, the vertical one to
+``failsafe_vertical_N``. The prediction of the state at the start of a new plan uses these commands. The actuators may
+report another command (a plan came late, or this controller is new): then the report is taken as true, and from there
+the commands approach the plan at the slew limit.
 
 The uncertainty of a prediction that no newer estimate corrects grows (``growth_m``):
 
@@ -21,14 +26,6 @@ d    change (2,) of the predicted position if a thruster delivers 10 % more
 
 The derivatives are differences of predictions, so this takes eleven predictions. The controller needs them only while
 its estimates are late (``mode.py``).
-
-Commands in force by time: everything that was sent, as one piecewise linear function.
-
-A plan takes over from the one before at its own start. After its end the commands ramp to rest at the slew limit, as
-the actuators do without a new plan (``plan_gate.py``): the lateral ones to zero, the vertical one to
-``failsafe_vertical_N``. The prediction of the state at the start of a new plan uses these commands. The actuators may
-report another command (a plan came late, or this controller is new): then the report is taken as true, and from there
-the commands approach the plan at the slew limit.
 """
 
 from __future__ import annotations
@@ -37,10 +34,8 @@ import math
 from collections import deque
 from typing import NamedTuple, TypeAlias
 
-import msgspec
 import numpy as np
 
-from ltv_mpc.conversion import exact
 from ltv_mpc.jit import copy_to, count_up_to, jit, linear_at
 from ltv_mpc.messages import Applied, Array, CurrentProfile, Estimate, Pair, Plan, Times, Triple
 from ltv_mpc.safety.health import plan_end_ns
@@ -431,56 +426,6 @@ def predict_state(vehicle: Array, measured: Measured, until: int, commands: Comm
         out[STATES + j] = linear_at(t, thrust[:, j], until)
     out[11], out[12], out[13], out[14], out[15] = z, w, F3, c0[0], c0[1]
     return out
-
-
-def advance(vehicle: Vehicle, estimate: Estimate, plan: Plan, *, duration_s: float) -> Estimate:
-    """Return the estimate some time later under a plan, by the exact flow of the nominal model.
-
-    Before the plan's start its first thrusts act; after its end they ramp to zero at the slew limit. An ``Estimate``
-    does not hold the delivered thrust: at the beginning every thruster is taken to deliver its command.
-
-    Parameters
-    ----------
-    vehicle : nominal model.
-    estimate : state at the beginning.
-    plan : commands that act.
-    duration_s : time to advance (s).
-    """
-    vehicle, estimate = exact(vehicle), exact(estimate)
-    prediction = Prediction(vehicle)
-    prediction.sent.add(plan, before_N=plan.initial_thrust_N)
-    end = prediction.state_at(estimate, estimate.t_ns + round(duration_s * 1e9))
-    return as_estimate(end, estimate)
-
-
-def as_estimate(end: Start, before: Estimate) -> Estimate:
-    """Return a predicted state as an estimate: [n', e'] = R(psi) [u, v] + c.
-
-    Parameters
-    ----------
-    end : predicted state.
-    before : estimate from which it was predicted; current, covariance and the missing depth are taken over.
-    """
-    n, e, u, v, psi, r = (float(x) for x in end.X[:6])
-    has_depth = before.depth_m is not None
-    altitude = before.altitude_m
-    if altitude is not None and before.depth_m is not None:
-        altitude = max(altitude + before.depth_m - end.depth_m, 0.0)  # over a level bottom
-    c = currents_at_depths(before.current, np.array([end.depth_m]))[0]
-    cos, sin = np.cos(psi), np.sin(psi)
-    return msgspec.structs.replace(
-        before,
-        t_ns=end.t_ns,
-        north_m=n,
-        east_m=e,
-        depth_m=end.depth_m if has_depth else None,
-        heading_rad=float(np.arctan2(sin, cos)),
-        yaw_rate_radps=r,
-        velocity_north_mps=float(cos * u - sin * v + c[0]),
-        velocity_east_mps=float(sin * u + cos * v + c[1]),
-        velocity_down_mps=end.sinking_mps if has_depth else None,
-        altitude_m=altitude,
-    )
 
 
 STEP = 1e-3

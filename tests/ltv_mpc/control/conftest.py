@@ -13,7 +13,8 @@ from ltv_mpc import Controller, ControllerConfig, CurrentProfile, Estimate, Plan
 from ltv_mpc.control.config import ResolvedConfig, Weights
 from ltv_mpc.control.lateral import LateralPlanner
 from ltv_mpc.control.linearisation import Linearisation
-from ltv_mpc.control.prediction import Prediction, Start, as_estimate
+from ltv_mpc.control.nominal_model import as_estimate
+from ltv_mpc.control.prediction import Prediction, Start
 from ltv_mpc.messages import Applied, Array
 from tests.ltv_mpc.control.problems import Form
 from tests.ltv_mpc.reports import report

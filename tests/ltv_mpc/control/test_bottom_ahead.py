@@ -11,7 +11,7 @@ import pytest
 from ltv_mpc.bathymetry import Bathymetry
 from ltv_mpc.control.config import ControllerConfig, MotionLimits
 from ltv_mpc.control.controller import Controller
-from ltv_mpc.control.prediction import advance
+from ltv_mpc.control.nominal_model import advance
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Array, Estimate, Plan
 from ltv_mpc.references import Line, Place, Point, Reference, Waypoints

@@ -13,7 +13,7 @@ from ltv_mpc.config import parse
 from ltv_mpc.control.config import ControllerConfig, MotionLimits
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.depth_limits import MIN_RATE_RADPS, DepthLimits, braking_rate_radps, clip_to_depths
-from ltv_mpc.control.prediction import advance
+from ltv_mpc.control.nominal_model import advance
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Array, Authority, Estimate, Plan
 from ltv_mpc.references import Hold, Point

@@ -12,7 +12,8 @@ from ltv_mpc import Controller, ControllerConfig, CurrentProfile, Estimate, Vehi
 from ltv_mpc.control.config import Disturbance
 from ltv_mpc.control.disturbance import DOUBTED_ESTIMATES, DisturbanceObserver, heading_free_mps
 from ltv_mpc.control.node import ControllerNode
-from ltv_mpc.control.prediction import Prediction, as_estimate
+from ltv_mpc.control.nominal_model import as_estimate
+from ltv_mpc.control.prediction import Prediction
 from ltv_mpc.messages import Action, Plan
 from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.vehicle.reference_point import ReferencePoint

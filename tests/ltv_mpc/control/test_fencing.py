@@ -11,9 +11,10 @@ import pytest
 from ltv_mpc import Controller, ControllerConfig, Fence, Obstacle, Obstacles
 from ltv_mpc.control.config import MotionLimits
 from ltv_mpc.control.fencing import Fencing
+from ltv_mpc.control.nominal_model import advance
 from ltv_mpc.control.ocp.limits import ROWS
 from ltv_mpc.control.ocp.problem import Problem
-from ltv_mpc.control.prediction import Prediction, advance
+from ltv_mpc.control.prediction import Prediction
 from ltv_mpc.control.scaling import characteristic_scales
 from ltv_mpc.control.solvers import Result, Solver, make
 from ltv_mpc.control.solvers.recorder import RecordingSolver

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from ltv_mpc import Controller, ControllerConfig, CurrentProfile, Estimate, Vehicle, references
-from ltv_mpc.control.prediction import Prediction, as_estimate
+from ltv_mpc.control.nominal_model import as_estimate
+from ltv_mpc.control.prediction import Prediction
 from ltv_mpc.messages import Applied, Authority, Health, Plan
 from ltv_mpc.safety.actuator_check import WHAT_IT_CAN_BE, ActuatorCheck
 from ltv_mpc.safety.command_arbiter import ThrustOverride
