@@ -8,7 +8,6 @@ standard deviation of their logarithms. ``flight.load`` knows each hull by its n
 from __future__ import annotations
 
 import math
-from typing import TypeVar
 
 import numpy as np
 from msgspec.structs import replace
@@ -18,8 +17,6 @@ from ltv_mpc.vehicle.parameters import Rotation, Thruster, Thrusters, Translatio
 
 NAME = "drawn "  # first part of a hull's name; the seed follows
 FILE_ERROR = 0.25
-
-Motion = TypeVar("Motion", Translation, Rotation)
 
 
 def vehicles(seed: int) -> tuple[Vehicle, Vehicle]:
@@ -69,11 +66,11 @@ def vehicles(seed: int) -> tuple[Vehicle, Vehicle]:
     mass, drag, damping, arm, lag = np.exp(FILE_ERROR * rng.standard_normal(5)).tolist()
     own = replace(thruster, arm_m=arm * arm_m, lag_s=lag * lag_s)
     surge, sway, yaw = (_scaled(of, mass, d) for of, d in ((true.surge, drag), (true.sway, drag), (true.yaw, damping)))
-    thrusters = Thrusters(port=own, starboard=own)
-    return true, replace(true, dry_mass_kg=mass * dry_kg, surge=surge, sway=sway, yaw=yaw, thruster=thrusters)
+    changes = {"dry_mass_kg": mass * dry_kg, "thruster": Thrusters(port=own, starboard=own)}
+    return true, replace(true, surge=surge, sway=sway, yaw=yaw, **changes)
 
 
-def _scaled(motion: Motion, mass: float, damping: float) -> Motion:
+def _scaled(motion: Translation | Rotation, mass: float, damping: float) -> Translation | Rotation:
     """Return a motion with its mass, the first field, and its damping times factors."""
     inertia, *rest = motion.__struct_fields__
     values = {inertia: mass * getattr(motion, inertia)}

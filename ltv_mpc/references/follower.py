@@ -113,7 +113,14 @@ class _Distances:
         """True while they do not become smaller."""
 
     def add(self, t_ns: int, distance_m: float, near_m: float) -> None:
-        """Add a distance. Within ``near_m``, and after a gap in time, the list starts again."""
+        """Add a distance. Within ``near_m``, and after a gap in time, the list starts again.
+
+        Parameters
+        ----------
+        t_ns : time of the distance (ns).
+        distance_m : of the vehicle from its target (m).
+        near_m : distance at which the vehicle is not away (m).
+        """
         last = self._last
         if distance_m <= near_m or (last and not 0 <= t_ns - last[-1][0] <= MAX_STEP_S * 1e9):
             last.clear()
