@@ -52,6 +52,7 @@ from ltv_mpc.messages import (
     Pair,
     Plan,
     PlanOrigin,
+    SolveStatus,
     Times,
 )
 from ltv_mpc.node import Stopwatch, no_stopwatch
@@ -61,10 +62,12 @@ from ltv_mpc.safety.actuator_check import ActuatorCheck
 from ltv_mpc.safety.command_arbiter import ThrustOverride
 from ltv_mpc.safety.estimate_gate import EstimateGate
 from ltv_mpc.safety.health import NOMINAL, HealthState, plan_end_ns, worst
-from ltv_mpc.safety.motion_fit import MotionFit, VehicleFileCheck
+from ltv_mpc.safety.motion_fit import MotionFit
+from ltv_mpc.safety.vehicle_file_check import VehicleFileCheck
 from ltv_mpc.vehicle.parameters import Vehicle
 
-STAYS_AWAY = "the vehicle does not get nearer to its target: the current, the thrusters or the vehicle file prevent it"
+STAYS_AWAY = "the vehicle does not get nearer to its target"
+PREVENTED = "the current, the thrusters or the vehicle file prevent it"
 
 SAVE_PERIOD_NS = 5_000_000_000
 """Longest time between two published states."""
@@ -295,7 +298,9 @@ class Controller:
 
     @property
     def _target_health(self) -> HealthState:
-        return HealthState(Health.DEGRADED, STAYS_AWAY) if self.follower.stays_away else NOMINAL
+        if not self.follower.stays_away:
+            return NOMINAL
+        return HealthState(Health.DEGRADED, f"{STAYS_AWAY}: {self.vehicle_file_check.health.why or PREVENTED}")
 
     def plan(
         self,
@@ -358,6 +363,8 @@ class Controller:
         self._lateral.set_current(decision.estimate, vertical.depth_m)
         self._stopwatch("predict")
         lateral = self._plan_lateral(decision, start, knots)
+        if lateral.solve.status is SolveStatus.NON_FINITE:
+            self.observer.forget_vehicle()  # slips of the installation teach a model whose motion has no end
         plan = self._assemble(decision, now_ns, delay_ns, start, knots, vertical, lateral)
         self._record(plan)
         if not self.actuator_check.learns:
@@ -438,14 +445,15 @@ class Controller:
         The decision uses the newest plausible estimate, corrected by the disturbance observer.
         """
         estimate, check = self.estimate_gate.select(newest), self.actuator_check
+        given = self.estimate_gate.accepted
         check.overridden = override is not None
         if check.began_ns is not None:
             self.observer.take_back(check.began_ns)
             check.began_ns = None
-        if estimate is not None:
+        if estimate is not None and given is not None:
             self._vertical.depth_limits.update(estimate)
             if check.learns:
-                self.vehicle_file_check.fit.update(estimate)
+                self.vehicle_file_check.add(given)
             estimate = self.observer.correct(estimate, self.prediction, learns=check.learns)
             self.prediction.coefficients[:] = self.observer.coefficients
             bounded, in_waves = self.observer.is_bounded, self.observer.in_waves

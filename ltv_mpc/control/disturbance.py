@@ -273,8 +273,7 @@ class DisturbanceObserver:
                 most = self._track[MOST, 0]
                 estimate = self._update(last, estimate, prediction)
                 if self._waves_share > 0.0 and self._track[MOST, 0] > most:  # they have looked like arm and model
-                    self._belief = self._belief[0] * (np.arange(STATES) < ARM), np.diag(self._prior_and_walks[0])
-                    self._before.clear()
+                    self.forget_vehicle()
                 self._before.append((estimate.t_ns, self._belief))
             else:
                 self._belief = self._belief[0], self._propagated(last, estimate)
@@ -318,6 +317,11 @@ class DisturbanceObserver:
             float(mean[i]) * _significance(float(mean[i] ** 2 / max(P[i, i], 1e-12))) for i in (ARM, ARM + 1)
         )
         return ReferencePoint(forward_m=forward_m, starboard_m=starboard_m)
+
+    def forget_vehicle(self) -> None:
+        """Return arm and model to the prior."""
+        self._belief = self._belief[0] * (np.arange(STATES) < ARM), np.diag(self._prior_and_walks[0])
+        self._before.clear()
 
     def take_back(self, t_ns: int) -> None:
         """Take back the updates by estimates that are newer than a time, as far as they are known.

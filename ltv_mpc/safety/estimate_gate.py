@@ -41,7 +41,7 @@ import msgspec
 import numpy as np
 
 from ltv_mpc.messages import CurrentProfile, Estimate, Health, Pair
-from ltv_mpc.safety.health import DEFAULT_AGES, PREDICTED_TOO_FAR, Ages, HealthState, health
+from ltv_mpc.safety.health import DEFAULT_AGES, NOMINAL, PREDICTED_TOO_FAR, Ages, HealthState, health
 from ltv_mpc.safety.input_age import InputAge
 from ltv_mpc.validation import relation_reason
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -54,6 +54,7 @@ UNKNOWN_SD_M, UNKNOWN_SD_RAD = 5.0, 0.5
 """Standard deviations of an estimate without covariance: those of a plain satellite fix."""
 
 NOT_FINITE = "a number is not finite"
+REJECTED = "the newest was rejected: "
 JUMPED = "jumped farther than the vehicle can move"
 
 WINDOW = 15
@@ -194,7 +195,7 @@ class EstimateGate:
             self._last = estimate, reason
             return reason
         self.age.add(estimate.t_ns)
-        self.accepted, self._jumped = estimate, None
+        self.accepted, self._jumped, self._last = estimate, None, (None, "")
         return ""
 
     def restart(self) -> None:
@@ -220,8 +221,8 @@ class EstimateGate:
         ----------
         t_ns : now, vehicle time (ns).
         """
+        _, reason = self._last
         if self.accepted is None:
-            _, reason = self._last
             return (
                 HealthState(Health.FAILSAFE, f"no valid estimate: {reason}")
                 if reason
@@ -229,8 +230,8 @@ class EstimateGate:
             )
         state = health(age_ns=t_ns - self.accepted.t_ns, period_ns=self.age.median_ns, ages=self._ages)
         if self.accepted is self._uncertain and state.health is Health.DEGRADED:
-            return HealthState(Health.HOLD, PREDICTED_TOO_FAR)
-        return state
+            state = HealthState(Health.HOLD, PREDICTED_TOO_FAR)
+        return state if not reason or state is NOMINAL else state._replace(why=f"{state.why}; {REJECTED}{reason}")
 
     def limit_growth(self, growth_m: float) -> None:
         """Hold until the next accepted estimate if the prediction from the newest one is too uncertain.

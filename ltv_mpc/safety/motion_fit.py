@@ -4,11 +4,12 @@ A steady wind, a wrong vehicle file, an undeclared reference point and estimates
 bend the motion, each in another way: a force of the earth stays when the heading turns, drag grows with the speed
 through the water, a mass shows in accelerations alone, and a delay shifts all of them. One fit has all of them:
 
-    x (16,)   c   current that the estimates do not contain, north and east (m/s)
+    x (17,)   c   current that the estimates do not contain, north and east (m/s)
               W   steady force of the earth over the mean mass, north and east (m/s^2)
               l   lever arm, and q (8,) model, both as in ``control/disturbance_filter.py``
               d   age of the estimates beyond their stamps (s), not negative
               s   loss of thrust: logarithm of port's share of its thrust if negative, minus that of starboard's if not
+              h   what the heading lacks (rad): a compass or its declination
 
 From one estimate to the next the equations of motion (``vehicle/dynamics.py``) with x and the impulses of the delivered
 thrust d seconds before give the change of u, v and r. What they lack is added up over segments of ``SEGMENT_S``: e is
@@ -23,31 +24,20 @@ K_b is the number of the cosines in a band. One step of Gauss and Newton each ``
 H^-1 is the covariance if the noise is independent of the motion. What moves the vehicle is not, so names need far more
 than noise would (``SIGMAS``).
 Source  Ljung 1999, System identification, section 7.4 (concentrated likelihood), section 7.8 (frequency domain).
-
-What of the vehicle file the motion contradicts is named (``VehicleFileCheck``): values of the fit that are far
-from the file's, certain, and last. The held point then is not the one that its owner declared, or speeds and stopping
-distances are others than the file says.
-They are not those of the disturbance observer, which takes wind for a current, and its model for what is left.
-A wrong model can look like a lever arm, too: by up to 0.25 m with the hull of tests/foreign_plant, which is known by
-its data sheet (docs/notes/lever-arm.md).
-
-Estimates that are older than their stamps move the origin to another time, so while they are, nothing else is named.
-Nor is the file while waves carry the vehicle: what they do to it, no noise of the fit is like.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from ltv_mpc.control.disturbance_filter import MAX_LOG, adapted
 from ltv_mpc.control.prediction import current_at_depth, profile_of
 from ltv_mpc.jit import count_up_to, jit, jit_outlined
-from ltv_mpc.messages import Array, Estimate, Health, Pair, Triple
+from ltv_mpc.messages import Array, Estimate, Pair, Triple
 from ltv_mpc.references.limits import path_limits
-from ltv_mpc.safety.health import NOMINAL, HealthState
 from ltv_mpc.vehicle.dynamics import coefficients, rates
 from ltv_mpc.vehicle.parameters import Vehicle
 
@@ -126,17 +116,73 @@ def impulses(rows: Array, t: float) -> Pair:
     return at[3] + s * at[1] + half * (later[1] - at[1]), at[4] + s * at[2] + half * (later[2] - at[2])
 
 
-SIZE, ARM, MODEL, DELAY, LOSS = 16, 4, 6, 14, 15
+T, VELOCITY, HEADING, YAW_RATE, PROFILE, SEGMENT, POSITION = 0, slice(1, 3), 3, 4, slice(5, 7), 7, slice(8, 10)
+"""Columns of the motion."""
+
+
+class Record(NamedTuple):
+    """Record of estimates and thrusts, by time."""
+
+    motion: Array  # (K, 10) time (s), velocity over ground, heading, yaw rate, the profile's current, segment, position
+    thrust: Array  # (R, 5) time (s), of port and starboard (N), and their impulses (N s)
+
+
+class Segments(NamedTuple):
+    """Cosines of the segments of a motion, and their bands."""
+
+    cosines: Array  # (K, M), by their half periods
+    begins: npt.NDArray[np.int64]  # (B,) first cosine of each band
+    worth: Array  # (B,) number of the cosines in each band
+
+    @classmethod
+    def of(cls, segments: Array) -> Segments:
+        """Return the cosines of segments.
+
+        Parameters
+        ----------
+        segments : (K,) segment of each row.
+        """
+        K = len(segments)
+        each, begins, sizes = np.unique(segments, return_index=True, return_counts=True)
+        m, n = np.arange(1, MODES + 1)[:, None], sizes.repeat(sizes)
+        angle = np.pi * (np.arange(K) - begins.repeat(sizes) + 0.5) / n
+        cosines = np.sqrt(2.0 / n) * np.cos(m * angle) * (m < n)
+        modes = (cosines[:, None] * (each[:, None] == segments)).reshape(-1, K).T  # (K, M), by m
+        begins = np.array(BANDS) * len(each)
+        worth = np.maximum(np.add.reduceat((m < sizes).sum(axis=1), BANDS), 1)
+        return cls(modes, begins, worth)
+
+    def noise(self, E: Array, floor: Array) -> Array:
+        """Return the variances (3, B) of errors in each band.
+
+        Parameters
+        ----------
+        E : (3, M) errors.
+        floor : (3,) least variances.
+        """
+        return np.add.reduceat(E**2, self.begins, axis=1) / self.worth + floor[:, None]
+
+    def unlikely(self, E: Array, floor: Array) -> float:
+        """Return 2 J of errors, without the prior (nats).
+
+        Parameters
+        ----------
+        E, floor : as in ``noise``.
+        """
+        return float((np.log(self.noise(E, floor)) @ self.worth).sum())
+
+
+SIZE, ARM, MODEL, DELAY, LOSS, TURN = 17, 4, 6, 14, 15, 16
 """Number of unknowns, and the first of each kind."""
 
 MEMORY_S, SEGMENT_S, MIN_SEGMENTS = 90.0, 5.0, 4
-"""Time that is fitted, length of a segment, and the number of segments from which sixteen unknowns are known."""
+"""Time that is fitted, length of a segment, and the number of segments from which seventeen unknowns are known."""
 
 MAX_INTERVAL_S = 1.05
 """Longest interval: beyond it the velocities in between are not linear."""
 
-EVALUATED = 10
-"""Estimates from one step to the next."""
+EVALUATED, TESTED = 10, (2, 5, 8)
+"""Estimates from one step to the next; and those between them at which another record may be compared."""
 
 NOISE = 2e-3
 """Least error of a velocity over the top speed, and of a yaw rate over half of what a second of full thrust gives."""
@@ -159,9 +205,9 @@ BOUND_SIGMAS = np.where(SIGMAS < 10.0, 2.0, 3.0)
 PREDICTED_AFTER_NS = 1_000_000_000
 """Age of the last report from which the thrust is that of the sent commands through the lag."""
 
-SD = np.array([0.5] * 2 + [0.3] * 4 + [0.5] * 6 + [0.3, 0.3, 0.5, 0.3])
+SD = np.array([0.5] * 2 + [0.3] * 4 + [0.5] * 6 + [0.3, 0.3, 0.5, 0.3, 0.3])
 """Prior standard deviations: c over the top speed, W over what full thrust gives, l in m, logarithms, added Munk mass
-over the mean mass, steady moment over that of full thrust, d in s.
+over the mean mass, steady moment over that of full thrust, d in s, s, h in rad.
 """
 
 
@@ -179,12 +225,15 @@ class MotionFit:
         top_mps, mean_kg = path_limits(vehicle).top_mps, 0.5 * float(self._file[:2].sum())
         full_mps2 = sum(t.max_N for t in lateral) / mean_kg
         turning_radps2 = sum(t.max_N * t.arm_m for t in lateral) / vehicle.yaw.inertia_kgm2
-        self._scale = np.array([*[top_mps] * 2, *[full_mps2] * 2, *[1.0] * 9, turning_radps2, 1.0, 1.0])
-        self._floor = (NOISE * np.array((top_mps, top_mps, 0.5 * turning_radps2))) ** 2
+        self._scale = np.array([*[top_mps] * 2, *[full_mps2] * 2, *[1.0] * 9, turning_radps2, *[1.0] * 3])
+        self.floor = (NOISE * np.array((top_mps, top_mps, 0.5 * turning_radps2))) ** 2
+        """Least variances of the errors."""
         most = np.full(SIZE, np.inf)
         most[:2], most[MODEL : MODEL + 6], most[DELAY] = top_mps, MAX_LOG, MAX_DELAY_S
         self._bounds = np.where(np.arange(SIZE) == DELAY, 0.0, -most), most
-        self._motion = np.empty((0, 8))  # t (s), n', e', psi, r, current of the profile, north and east, segment
+        self._motion = np.empty((0, 10))
+        self.segments: Segments | None = None
+        """Segments of the last step."""
         self._impulse, self.reported_ns = ThrustImpulse(MEMORY_S + MAX_DELAY_S), 0
         self._begin_s, self._new = 0.0, 0  # of the newest segment; estimates since the last step
         self.x = np.zeros(SIZE)
@@ -193,7 +242,7 @@ class MotionFit:
         """What they are at least, with their signs; 0 where they may be none."""
         # compiled before it is needed
         current_at_depth(np.zeros(1), np.zeros(1), np.zeros(1), 0.0)
-        _fill_misfit(self.x, self._file, np.zeros((1, 8)), np.zeros((1, 5)), np.empty((3, 1)))
+        _fill_misfit(self.x, self._file, np.zeros((1, 10)), np.zeros((1, 5)), np.empty((3, 1)))
 
     def add_thrust(self, t_ns: int, thrust_N: Triple | Array, *, reported: bool = True) -> None:
         """Add the delivered thrusts at a time.
@@ -210,70 +259,94 @@ class MotionFit:
             return
         self._impulse.add(t_ns, thrust_N)
 
-    def update(self, estimate: Estimate) -> None:
-        """Add an estimate.
+    def update(self, estimate: Estimate) -> bool:
+        """Add an estimate. Return True if another record may be compared now: in a cycle without a step.
 
         Parameters
         ----------
-        estimate : as it was given; its velocities are not filtered.
+        estimate : as it was given; nothing of it is filtered.
         """
         t, motion, thrust = self._impulse.seconds(estimate.t_ns), self._motion, self._impulse.rows
         segment, passed_s = (motion[-1, 7], t - motion[-1, 0]) if len(motion) else (0.0, np.inf)
         if passed_s < 0.0:  # the clock was set back
             self._motion, self._impulse = motion[:0], ThrustImpulse(MEMORY_S + MAX_DELAY_S)
         if passed_s <= 0.0 or not len(thrust) or t < thrust[0, 0] + MAX_DELAY_S:
-            return
+            return False
         if passed_s > MAX_INTERVAL_S or t >= self._begin_s + SEGMENT_S:
             self._begin_s, segment = t, segment + 1.0
         profile = profile_of(estimate)
         water = current_at_depth(profile.depth_m, profile.north_mps, profile.east_mps, estimate.depth_m or 0.0)
         over_ground = estimate.velocity_north_mps, estimate.velocity_east_mps
-        row = t, *over_ground, estimate.heading_rad, estimate.yaw_rate_radps, *water, segment
+        heading, position = estimate.heading_rad, (estimate.north_m, estimate.east_m)
+        row = t, *over_ground, heading, estimate.yaw_rate_radps, *water, segment, *position
         self._motion = np.concatenate([motion, [row]])
         self._new += 1
         if self._new >= EVALUATED:
             self._new, self._motion = 0, self._motion[self._motion[:, 0] > t - MEMORY_S]
             if self._motion[-1, 7] - self._motion[0, 7] >= MIN_SEGMENTS:
-                self._set_modes()
-                self._step()
+                self.segments = Segments.of(self._motion[:, SEGMENT])
+                self._step(self.segments)
+        return self._new in TESTED and self.segments is not None
 
-    def _set_modes(self) -> None:
-        """Set the cosines of the segments."""
-        K, segments = len(self._motion), self._motion[:, 7]
-        each, begins, sizes = np.unique(segments, return_index=True, return_counts=True)
-        m, n = np.arange(1, MODES + 1)[:, None], sizes.repeat(sizes)
-        angle = np.pi * (np.arange(K) - begins.repeat(sizes) + 0.5) / n
-        cosines = np.sqrt(2.0 / n) * np.cos(m * angle) * (m < n)
-        self._modes = (cosines[:, None] * (each[:, None] == segments)).reshape(-1, K).T  # (K, M), by m
-        self._begins = np.array(BANDS) * len(each)
-        self._worth = np.maximum(np.add.reduceat((m < sizes).sum(axis=1), BANDS), 1)
+    @property
+    def record(self) -> Record:
+        """Copy of what the last step explains."""
+        K = len(self._motion) if self.segments is None else len(self.segments.cosines)
+        return Record(self._motion[:K].copy(), self._impulse.rows.copy())
 
-    def _misfit(self, x: Array) -> Array:
-        """Return the errors E (3, M) of the velocities."""
-        e = np.empty((3, len(self._motion)))
-        _fill_misfit(x, self._file, self._motion, self._impulse.rows, e)
-        E: Array = e @ self._modes
+    def misfit(self, x: Array, record: Record, segments: Segments) -> Array:
+        """Return the errors E (3, M) of the velocities.
+
+        Parameters
+        ----------
+        x : (17,) unknowns.
+        record, segments : what they explain.
+        """
+        e = np.empty((3, len(record.motion)))
+        _fill_misfit(x, self._file, *record, e)
+        E: Array = e @ segments.cosines
         return E
 
-    def _noise(self, E: Array) -> Array:
-        """Return the variances (3, B) of the errors in each band."""
-        return np.add.reduceat(E**2, self._begins, axis=1) / self._worth + self._floor[:, None]
+    def unlikely(self, x: Array, record: Record, segments: Segments) -> float:
+        """Return 2 J (nats).
 
-    def _step(self) -> None:
-        """Take one step of Gauss and Newton, as far as J falls."""
-        x, steps, prior = self.x, STEP * self._scale, (SD * self._scale) ** -2.0
+        Parameters
+        ----------
+        x : (17,) unknowns.
+        record, segments : what they explain.
+        """
+        prior = float(((x / (SD * self._scale)) ** 2).sum())
+        return segments.unlikely(self.misfit(x, record, segments), self.floor) + prior
+
+    def improved(self, x: Array, record: Record, segments: Segments) -> tuple[Array, Array]:
+        """Take one step of Gauss and Newton, as far as J falls.
+
+        Parameters
+        ----------
+        x : (17,) unknowns.
+        record, segments : what they explain.
+
+        Returns
+        -------
+        (17,) unknowns after the step, and (17, 17) H before it.
+        """
+        steps, prior = STEP * self._scale, (SD * self._scale) ** -2.0
         steps[DELAY] = DELAY_STEP_S
-        E = self._misfit(x)
-        slopes = np.stack([self._misfit(x + step) - E for step in np.diag(steps)], axis=1) / steps[:, None]
-        widths = np.diff(self._begins, append=E.shape[1])
-        weighted = slopes / self._noise(E).repeat(widths, axis=1)[:, None]
+        E = self.misfit(x, record, segments)
+        moved = [self.misfit(x + step, record, segments) for step in np.diag(steps)]
+        slopes = (np.stack(moved, axis=1) - E[:, None]) / steps[:, None]
+        widths = np.diff(segments.begins, append=E.shape[1])
+        weighted = slopes / segments.noise(E, self.floor).repeat(widths, axis=1)[:, None]
         H = (weighted @ slopes.mT).sum(axis=0) + np.diag(prior)
         step = np.linalg.solve(H, -np.einsum("ijk,ik->j", weighted, E) - prior * x)
 
-        def cost(x: Array) -> float:
-            return float((np.log(self._noise(self._misfit(x))) @ self._worth).sum() + prior @ x**2)
+        tried = (np.clip(x + share * step, *self._bounds) for share in (1.0, 0.4, 0.16, 0.0))
+        return min(tried, key=lambda x: self.unlikely(x, record, segments)), H
 
-        self.x = min((np.clip(x + share * step, *self._bounds) for share in (1.0, 0.4, 0.16, 0.0)), key=cost)
+    def _step(self, segments: Segments) -> None:
+        """Take one step, and set what is certain."""
+        x = self.x
+        self.x, H = self.improved(x, self.record, segments)
         if self.x[DELAY] == 0.0:  # at its bound it is no unknown
             H[DELAY, DELAY] = 1e12
         sd = np.sqrt(np.diag(np.linalg.inv(H)))
@@ -285,13 +358,13 @@ class MotionFit:
 
 @jit_outlined
 def _fill_misfit(x: Array, file: Array, motion: Array, thrust: Array, out: Array) -> None:
-    """Write the errors (3, K) of u, v and r, by the rows of the motion (K, 8) and of ``ThrustImpulse`` (R, 5)."""
+    """Write the errors (3, K) of u, v and r, by the rows of the motion (K, 10) and of ``ThrustImpulse`` (R, 5)."""
     p = coefficients(adapted(file, x[MODEL:DELAY]))
     over_dry = -0.5 * (file[0] + file[1]) / p.dry_mass  # a force of the earth acts like water that accelerates
     port_share, starboard_share = np.exp(min(x[LOSS], 0.0)), np.exp(min(-x[LOSS], 0.0))
     u0 = v0 = r0 = du0 = dv0 = dr0 = port0 = starboard0 = 0.0
     for k in range(len(motion)):
-        t, psi, r = motion[k, 0], motion[k, 3], motion[k, 4]
+        t, psi, r = motion[k, 0], motion[k, 3] + x[TURN], motion[k, 4]
         cos, sin = np.cos(psi), np.sin(psi)
         north, east = motion[k, 1] - motion[k, 5] - x[0], motion[k, 2] - motion[k, 6] - x[1]
         u, v = cos * north + sin * east + r * x[ARM + 1], cos * east - sin * north - r * x[ARM]
@@ -309,97 +382,3 @@ def _fill_misfit(x: Array, file: Array, motion: Array, thrust: Array, out: Array
             yaw = f1 * p.arm_port - f2 * p.arm_starboard
             out[2, k] = out[2, k - 1] + r - r0 - h * (dr + dr0) - yaw / p.inertia_yaw
         u0, v0, r0, du0, dv0, dr0, port0, starboard0 = u, v, r, du, dv, dr, port, starboard
-
-
-ALARM_M = 0.25
-"""Least certain lever arm that raises the alarm: what a wrong model can look like, and less than 0.5 m."""
-
-MIN_DELAY_S = 0.15
-"""Least delay of the estimates that is named."""
-
-CONFIRMED_S = 10.0
-"""Time for which an error must last: the first turns of a run can look like a lever arm for 8 s."""
-
-UNDECLARED = "the estimates turn as if measured away from the declared [reference_point]"
-
-BOUNDED = "the learned current is at its bound"
-
-LATE = "the estimates are older than their stamps"
-STAMP_WHEN_MEASURED = "stamp each with the time at which its state was measured, not with that of its arrival"
-OR_THRUSTERS = f"{STAMP_WHEN_MEASURED}; or the thrusters answer so much later than lag_s says, and report nothing"
-
-FACTORS = ("mass ahead", 1.25), None, ("moment of inertia", 1.5), ("drag ahead", 1.4), None, ("drag in yaw", 1.25)
-"""Names of the model's factors in the order of the states, and the least certain factor between fit and file, either
-way, that raises the alarm. Identified vehicles are within 10 %, so that drag over thrust is within 1.22, and a descent
-that nearly drifts shows it badly. Velocities that are wrong by 1 cm/s for some seconds can look like 1.4 of the
-inertia, by the Munk moment. What is abeam is left out: a hull seldom moves abeam.
-"""
-
-
-class VehicleFileCheck:
-    """Alarm of an error of the vehicle file that is large, certain, and lasts."""
-
-    def __init__(self, fit: MotionFit) -> None:
-        """Begin without an alarm.
-
-        Parameters
-        ----------
-        fit : what the motion says of reference point, model and stamps.
-        """
-        self.fit = fit
-        """Vehicle, sea and stamps that explain the motion."""
-        self.health = NOMINAL
-        """Degraded with the reason while the alarm is on."""
-        self.why = ""
-        """Reason of the alarm with the learned values; empty without an alarm."""
-        self._since_ns: dict[str, int] = {}  # start of each error, by its name
-        self._late_s = 0.0  # delay that is named
-
-    @property
-    def stamps_are_late(self) -> bool:
-        """True while the alarm is that of late stamps: the motion then says nothing of the thrust, either."""
-        return LATE in self.why
-
-    def update(self, t_ns: int, *, bounded: bool = False, in_waves: bool = False) -> None:
-        """Update the alarm.
-
-        Parameters
-        ----------
-        t_ns : time of the newest estimate, vehicle time (ns).
-        bounded : the learned current is at its bound.
-        in_waves : they carry the vehicle.
-        """
-        fit = self.fit
-        errors = {} if in_waves else dict(_errors(fit))
-        if bounded:
-            errors[BOUNDED] = f"{BOUNDED}: check estimates, thrusters and vehicle file"
-        delay_s = float(fit.x[DELAY])
-        if fit.certain[DELAY] > 0.0 and delay_s > MIN_DELAY_S:
-            self._late_s = round(delay_s, 1) if abs(delay_s - self._late_s) > 0.1 else self._late_s
-            what = STAMP_WHEN_MEASURED if fit.reported_ns else OR_THRUSTERS
-            errors = {LATE: f"{LATE} by about {self._late_s:.1f} s: {what}"}
-        before = self._since_ns
-        self._since_ns = {name: min(before.get(name, t_ns), t_ns) for name in errors}
-        lasting = [name for name, since_ns in self._since_ns.items() if t_ns - since_ns >= CONFIRMED_S * 1e9]
-        self.why = "; ".join(errors[name] for name in lasting)
-        why = self.why if LATE in lasting else "; ".join(lasting)  # the delay keeps its value for long
-        self.health = HealthState(Health.DEGRADED, why) if lasting else NOMINAL
-
-
-def _errors(fit: MotionFit) -> Iterator[tuple[str, str]]:
-    """Yield name and text of each error of the file that is large for certain."""
-    forward_m, starboard_m = fit.x[ARM:MODEL].tolist()
-    if math.hypot(*fit.certain[ARM:MODEL]) > ALARM_M:
-        along = f"{abs(forward_m):.1f} m {'ahead' if forward_m >= 0.0 else 'astern'}"
-        across = f"{abs(starboard_m):.1f} m to {'starboard' if starboard_m >= 0.0 else 'port'}"
-        yield UNDECLARED, f"{UNDECLARED}: {along} and {across} of it"
-    rows = [MODEL, MODEL + 2, MODEL + 3]  # mass, inertia and drag ahead all seem larger if the thrust is smaller
-    logs, certain = fit.x[rows], fit.certain[rows]
-    if certain[:2].min() > math.log(1.5) and logs.min() > 0.5 * logs.max():
-        factor = math.exp(-logs.mean())
-        yield "thrust differs from the vehicle file's", f"thrust looks {factor:.2g} of the file's: clear the thrusters"
-        return
-    for i, named in enumerate(FACTORS, MODEL):
-        if named is not None and abs(fit.certain[i]) > math.log(named[1]):
-            name, times = named[0], f"looks {math.exp(fit.x[i]):.2g} of the file's: run `ltv-mpc vehicle identify`"
-            yield f"{name} differs from the vehicle file's", f"{name} {times}"

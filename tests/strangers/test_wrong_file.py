@@ -103,3 +103,19 @@ def test_noise_of_the_velocities_is_no_damping():
     assert off_m < 0.15
     assert np.abs(pilot.controller.observer.save().mean[4:10]).max() < 0.5
     assert flight.nominal[flight.t_s > 1.0].all()
+
+
+class Swapped(Ours):
+    """The cables of the thrusters are swapped."""
+
+    def plan(self, *of):
+        knots_ns, thrust_N = super().plan(*of)
+        return knots_ns, thrust_N[:, ::-1]
+
+
+@pytest.mark.parametrize("hull", ["bluerobotics-boat", "ellipsoid"])
+def test_swapped_thrusters_are_named_while_the_vehicle_goes_wrong(hull):
+    pilot = Swapped(load(hull)[1], reference(((0.0, 0.0), (40.0, 0.0)), 1.2))
+    flight = fly(hull, pilot, Conditions(reports_s=0.0), Start(heading_rad=0.5), duration_s=60.0)
+    assert "port and starboard thruster are swapped" in pilot.controller.vehicle_file_check.why
+    assert not flight.nominal[flight.t_s > 50.0].any()

@@ -16,7 +16,7 @@ from ltv_mpc.control.solvers.osqp import OsqpSolver
 from ltv_mpc.control.solvers.recorder import QpRecorder, RecordingSolver
 from ltv_mpc.control.solvers.sparse import SparseLayout
 from ltv_mpc.geofence.fence import Disc, Fence
-from ltv_mpc.messages import Solve
+from ltv_mpc.messages import DisturbanceState, Solve
 from ltv_mpc.references.follower import Follower
 from ltv_mpc.safety.estimate_gate import EstimateGate
 from ltv_mpc.safety.plan_gate import PlanGate, PlanVerdict
@@ -27,6 +27,10 @@ POINT = references.Point(north_m=0.0, east_m=0.0, depth_m=10.0)
 PERIOD_NS = 300_000_000
 S = 1_000_000_000
 SOLVED, SHIFTED, STOP, ZERO = PlanOrigin.SOLVED, PlanOrigin.SHIFTED, PlanOrigin.STOP, PlanOrigin.ZERO
+
+
+SPUN = np.array([-1.12, -0.95, 0.11, 0.75, 0.67, 1.0, -0.21, -0.28, 0.13, 0.91, -0.59, 0.05])
+"""What a light boat with a reversed thruster has taught: its motion ends at no finite number."""
 
 
 def moving(t_ns: int = 0) -> Estimate:
@@ -325,3 +329,11 @@ def test_from_a_shifted_plan_a_new_controller_shifts_no_longer_than_the_old_one(
     # 16 cycles, of which the first controller had ten; the ramp at the end adds some
     assert origins[:6] == [SHIFTED] * 6
     assert origins[-2:] == [ZERO] * 2
+
+
+def test_a_learned_vehicle_without_a_finite_motion_is_forgotten():
+    controller = Controller(Vehicle.load("bluerobotics-boat"), references.Point(north_m=0.0, east_m=0.0))
+    controller.observer.restore(DisturbanceState(mean=SPUN, covariance=1e-6 * np.eye(12)), 0)
+    away = Estimate.at_rest(north_m=60.0, east_m=60.0, heading_rad=1.0)
+    estimate = msgspec.structs.replace(away, yaw_rate_radps=0.3, velocity_north_mps=-1.0, velocity_east_mps=-1.0)
+    assert [controller.plan(estimate, t_ns=k * PERIOD_NS).origin for k in range(3)] == [ZERO, SOLVED, SOLVED]

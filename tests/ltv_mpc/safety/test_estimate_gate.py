@@ -60,6 +60,15 @@ def test_a_non_finite_estimate_is_rejected_and_counted_and_the_last_one_stays(fi
     assert gate.check(at(2)) == ""
 
 
+def test_the_health_says_why_no_estimate_is_accepted_until_one_is():
+    gate = settled()
+    for k in range(1, 20):
+        gate.check(at(k, yaw_rate_radps=20.0))
+    assert "yaw rate above what the vehicle can reach" in gate.health(20 * PERIOD_NS).why
+    assert gate.check(at(20)) == ""
+    assert "rejected" not in gate.health(40 * PERIOD_NS).why
+
+
 @pytest.mark.parametrize("place", [(0, 0), (3, 1)])
 def test_an_estimate_with_a_covariance_that_is_not_finite_is_rejected(place):
     """A NaN variance would pass every comparison with a multiple of it."""

@@ -8,7 +8,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from ltv_mpc.safety.motion_fit import ARM, DELAY, MODEL, SIZE, VehicleFileCheck
+from ltv_mpc.safety.motion_fit import ARM, DELAY, MODEL, SIZE
+from ltv_mpc.safety.vehicle_file_check import VehicleFileCheck
 
 S = 1_000_000_000
 
