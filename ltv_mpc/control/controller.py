@@ -67,6 +67,7 @@ from ltv_mpc.safety.vehicle_file_check import VehicleFileCheck
 from ltv_mpc.vehicle.parameters import Vehicle
 
 STAYS_AWAY = "the vehicle does not get nearer to its target"
+UNSOLVED = HealthState(Health.DEGRADED, "no plan can be solved, so the lateral thrusts rest")
 PREVENTED = "the current, the thrusters or the vehicle file prevent it"
 
 SAVE_PERIOD_NS = 5_000_000_000
@@ -532,6 +533,8 @@ class Controller:
         follower, follows = self.follower, decision.follows
         depth_m = follower.depth_m if follows else None
         progress = follower.progress if follows else NO_PROGRESS
+        rests = follows and lateral.origin is PlanOrigin.ZERO
+        health = worst(decision.health, UNSOLVED if rests else NOMINAL)
         return Plan(
             cycle_t_ns=now_ns,
             t_ns=knots,
@@ -541,8 +544,8 @@ class Controller:
             solve=lateral.solve,
             why=lateral.why or decision.why,
             authority=_authority(decision.override),
-            health=decision.health.health,
-            health_why=decision.health.why,
+            health=health.health,
+            health_why=health.why,
             estimate_t_ns=decision.estimate_t_ns,
             expected_delay_ns=delay_ns,
             reference_m=follower.target_m if follows else None,
@@ -588,7 +591,7 @@ class Controller:
             with contextlib.suppress(Exception):
                 fence = self._lateral.fencing.report(states, 0.0, drifts=True)
         vertical_N = 0.0 if override is not None else self.vehicle.failsafe_vertical_N
-        health = worst(self.health(now_ns), health)
+        health = worst(self.health(now_ns), health, UNSOLVED)
         plan = Plan(
             cycle_t_ns=now_ns,
             t_ns=knots,

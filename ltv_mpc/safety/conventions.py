@@ -132,28 +132,31 @@ class SlipTest:
         self._evidence: dict[str, Pair] = {}  # of the slips that are found (nats): by kinematics, by the model
 
     def update(self) -> None:
-        """Test the next slip of each kind. Without a reason, none is found."""
-        segments = self._fit.segments
+        """Test the next slip of each kind, and the one that is found again. Without a reason, none is found."""
+        segments, found = self._fit.segments, self.found
         if segments is None:
             return
-        least = FOUND_NATS + FOUND_SHARE * 3.0 * float(segments.worth.sum())
         for slips, reason in (
             (OF_ESTIMATES, not self._follows_rates(segments)),
             (OF_THRUSTS, not self._answers(segments)),
         ):
             names = list(slips)
-            tested = names[self._tests % len(names)]
-            for slip in [tested] if reason else names:
+            tested = {names[self._tests % len(names)], found} & set(names) if reason else set(names)
+            for slip in tested:
                 self._evidence.pop(slip, None)
-            if reason:
-                undone = self._fit.record
-                slips[tested](undone)
-                by_kinematics = self._by_kinematics(undone, segments) if slips is OF_ESTIMATES else 0.0
-                if slips is OF_THRUSTS or by_kinematics > least:
-                    by_model = self._by_model(undone, segments)
-                    if max(by_kinematics, by_model) > least:
-                        self._evidence[tested] = by_kinematics, by_model - (least if tested in GENERAL else 0.0)
+                if reason:
+                    self._test(slip, slips[slip], segments)
         self._tests += 1
+
+    def _test(self, slip: str, undo: Undo, segments: Segments) -> None:
+        least, undone = FOUND_NATS + FOUND_SHARE * 3.0 * float(segments.worth.sum()), self._fit.record
+        undo(undone)
+        by_kinematics = self._by_kinematics(undone, segments) if slip in OF_ESTIMATES else 0.0
+        if slip in OF_ESTIMATES and by_kinematics < least:
+            return
+        by_model = self._by_model(undone, segments)
+        if max(by_kinematics, by_model) > least:
+            self._evidence[slip] = by_kinematics, by_model - (least if slip in GENERAL else 0.0)
 
     @property
     def found(self) -> str:
@@ -183,10 +186,16 @@ class SlipTest:
 
     def _by_model(self, undone: Record, segments: Segments) -> float:
         """Return by how much the least J is below that of the record as it is (nats)."""
-        fit, x = self._fit, np.zeros(SIZE)
-        for _ in range(2):
-            x, _ = fit.improved(x, undone, segments)
-        return 0.5 * (fit.unlikely(fit.x, fit.record, segments) - fit.unlikely(x, undone, segments))
+        fit = self._fit
+
+        def least(record: Record) -> float:
+            x = np.zeros(SIZE)
+            for _ in range(2):
+                x, _ = fit.improved(x, record, segments)
+            return fit.unlikely(x, record, segments)
+
+        given = fit.record
+        return 0.5 * (min(fit.unlikely(fit.x, given, segments), least(given)) - least(undone))
 
     def _by_kinematics(self, undone: Record, segments: Segments) -> float:
         """Return by how much better heading and position follow their rates (nats).

@@ -193,10 +193,10 @@ MAX_DELAY_S, DELAY_STEP_S, STEP = 1.5, 0.05, 1e-4
 MODES, BANDS = 7, (0, 1, 3)
 """Half periods in a segment that are fitted, from 1 on, and the places where bands begin: 1, 2 to 3, 4 to 7."""
 
-SIGMAS = np.array([10.0] * ARM + [6.5] * 2 + [10.0, 10.0, 13.0] + [10.0] * (SIZE - MODEL - 3))
+SIGMAS = np.array([10.0] * ARM + [6.5] * 2 + [10.0, 10.0, 13.0] + [10.0] * (TURN - MODEL - 3) + [14.0])
 """Unknowns over their standard deviations from which they are certain (docs/notes/wrong-file.md). Right files reach 11
-with the inertia, which velocities that are wrong for some seconds change by the Munk moment, and 9 with the others; an
-arm is not named below 0.25 m.
+with the inertia, which velocities that are wrong for some seconds change by the Munk moment, 11 with the heading, of
+estimates at 1 Hz with noise, and 9 with the others; an arm is not named below 0.25 m.
 """
 
 BOUND_SIGMAS = np.where(SIGMAS < 10.0, 2.0, 3.0)

@@ -16,7 +16,7 @@ from ltv_mpc.control.solvers.osqp import OsqpSolver
 from ltv_mpc.control.solvers.recorder import QpRecorder, RecordingSolver
 from ltv_mpc.control.solvers.sparse import SparseLayout
 from ltv_mpc.geofence.fence import Disc, Fence
-from ltv_mpc.messages import DisturbanceState, Solve
+from ltv_mpc.messages import DisturbanceState, Health, Solve
 from ltv_mpc.references.follower import Follower
 from ltv_mpc.safety.estimate_gate import EstimateGate
 from ltv_mpc.safety.plan_gate import PlanGate, PlanVerdict
@@ -204,6 +204,7 @@ def test_a_cycle_in_which_a_part_raises_has_a_plan_and_the_next_one_is_solved(pa
         check(plan, None if method == "at" else before)
         if plan.origin is not SOLVED:  # a cycle that is solved does not need SentCommands.at
             assert "as asked" in plan.why
+            assert plan.origin is SHIFTED or plan.health is Health.DEGRADED
     if solver is not None:
         solver.fault = ""
     estimate = advance(SURFACES, estimate, plan, duration_s=0.3)
@@ -336,4 +337,6 @@ def test_a_learned_vehicle_without_a_finite_motion_is_forgotten():
     controller.observer.restore(DisturbanceState(mean=SPUN, covariance=1e-6 * np.eye(12)), 0)
     away = Estimate.at_rest(north_m=60.0, east_m=60.0, heading_rad=1.0)
     estimate = msgspec.structs.replace(away, yaw_rate_radps=0.3, velocity_north_mps=-1.0, velocity_east_mps=-1.0)
-    assert [controller.plan(estimate, t_ns=k * PERIOD_NS).origin for k in range(3)] == [ZERO, SOLVED, SOLVED]
+    plans = [controller.plan(estimate, t_ns=k * PERIOD_NS) for k in range(2)]
+    assert [plan.origin for plan in plans] == [ZERO, SOLVED]
+    assert [plan.health for plan in plans] == [Health.DEGRADED, Health.NOMINAL]
