@@ -17,6 +17,7 @@ from ltv_mpc.control.prediction import Prediction
 from ltv_mpc.messages import Action, Plan
 from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.vehicle.reference_point import ReferencePoint
+from tests.ltv_mpc.estimates import moving, water
 from tests.ltv_mpc.plans import plan_of
 from tests.ltv_mpc.reports import report
 
@@ -30,10 +31,6 @@ HURRYING = references.Line(
 )
 
 
-def flat(current) -> CurrentProfile:
-    return CurrentProfile(depth_m=np.zeros(1), north_mps=current[:1].copy(), east_mps=current[1:].copy())
-
-
 def held(
     disturbance: Disturbance,
     known: CurrentProfile | None,
@@ -43,12 +40,7 @@ def held(
     """Hold station in WATER with the profile ``known``: return the observer, mean |F| and mean distance."""
     config = ControllerConfig(disturbance=disturbance)
     controller = Controller(PAPER, references.Point(north_m=0.0, east_m=0.0), config)
-    truth = msgspec.structs.replace(
-        Estimate.at_rest(heading_rad=1.0),
-        velocity_north_mps=WATER[0],
-        velocity_east_mps=WATER[1],
-        current=flat(WATER),
-    )
+    truth = moving(WATER, heading_rad=1.0, current=water(*WATER))
     vehicle = Prediction(PAPER)
     force, off = [], []
     for _ in range(cycles):
@@ -66,7 +58,7 @@ def held(
 def test_an_unknown_current_is_estimated_and_then_costs_no_more_than_a_known_one():
     bias, force, off = held(ON, None)
     _, blind_force, blind_off = held(OFF, None)
-    _, known_force, known_off = held(OFF, flat(WATER))
+    _, known_force, known_off = held(OFF, water(*WATER))
     np.testing.assert_allclose(bias.bias_mps, WATER, atol=0.005)
     assert off < 0.6 * blind_off
     assert off < known_off + 0.008
@@ -81,7 +73,7 @@ WIND_MPS2 = 0.1 * 2.0 * PAPER.thrusters[0].max_N / PAPER.surge.mass_kg
 @pytest.mark.parametrize(("wrong_mps", "wind_mps2"), [(0.04, 0.0), (0.0, WIND_MPS2)])
 def test_no_offset_stays_where_a_profile_or_the_wind_contradicts_the_model(wrong_mps, wind_mps2):
     """It is 0.10 and 0.40 m without a bias."""
-    _, _, off = held(DEFAULT, flat(WATER + wrong_mps), 400, wind_mps2=wind_mps2)
+    _, _, off = held(DEFAULT, water(*(WATER + wrong_mps)), 400, wind_mps2=wind_mps2)
     assert off < 0.03
 
 
@@ -90,7 +82,7 @@ def test_the_bias_survives_an_estimate_with_a_profile():
     bias, last = drifting(0.3, 50, DEFAULT, velocity_north_mps=0.2)
     learned = bias.bias_mps.copy()
     assert learned[0] > 0.05
-    known = msgspec.structs.replace(last, t_ns=50 * 300_000_000, current=flat(WATER))
+    known = msgspec.structs.replace(last, t_ns=50 * 300_000_000, current=water(*WATER))
     assert bias.correct(known, Prediction(PAPER)) is known
     later = msgspec.structs.replace(last, t_ns=51 * 300_000_000, current=None)
     again = bias.correct(later, Prediction(PAPER))
@@ -106,12 +98,6 @@ def test_an_untold_current_is_used_beyond_what_a_wrong_drag_looks_like(share, us
     observer.restore(belief, 0)
     told = observer.correct(Estimate.at_rest(), vehicle, learns=False).current
     np.testing.assert_allclose(told.north_mps, used * belief.mean[0], atol=1e-12)
-
-
-def test_the_bias_is_added_to_the_profile():
-    part = np.array([0.05, 0.02])
-    bias, _, _ = held(ON, flat(part))
-    np.testing.assert_allclose(part + bias.bias_mps, WATER, atol=0.005)
 
 
 def drifting(seconds: float, steps: int, settings: Disturbance = ON, **changes: float):
@@ -149,13 +135,7 @@ def noisy(sd_mps: float, speed_mps: float = 0.0) -> Iterator[Estimate]:
     rng, error = np.random.default_rng(5), np.zeros(2)
     for k in range(300):
         error = 0.9 * error + sd_mps * np.sqrt(1 - 0.9**2) * rng.standard_normal(2)
-        yield msgspec.structs.replace(
-            Estimate.at_rest(),
-            t_ns=k * 300_000_000,
-            velocity_north_mps=WATER[0] + speed_mps + error[0],
-            velocity_east_mps=WATER[1] + error[1],
-            current=flat(WATER),
-        )
+        yield moving(WATER + error + [speed_mps, 0.0], t_ns=k * 300_000_000, current=water(*WATER))
 
 
 def test_the_noise_of_a_navigation_filter_is_not_taken_for_a_current():
@@ -187,21 +167,18 @@ def test_the_noise_of_a_navigation_filter_is_no_error_of_its_profile(speed_mps):
         assert np.hypot(current.north_mps[0] - WATER[0], current.east_mps[0] - WATER[1]) < 0.002
 
 
-def test_a_negative_variance_of_the_velocity_does_not_stop_the_controller():
-    bias, vehicle = DisturbanceObserver(ON, PAPER), Prediction(PAPER)
-    for k in range(3):
-        estimate = msgspec.structs.replace(Estimate.at_rest(), t_ns=k * 300_000_000, covariance=-np.eye(6))
-        bias.correct(estimate, vehicle)
-    assert np.isfinite(bias.covariance).all()
-
-
-def test_a_nan_velocity_is_ignored_and_the_bias_is_bounded():
+@pytest.mark.parametrize("broken", [{"velocity_north_mps": float("nan")}, {"covariance": -np.eye(6)}], ids=str)
+def test_a_broken_estimate_teaches_nothing(broken):
     bias, vehicle = DisturbanceObserver(ON, PAPER), Prediction(PAPER)
     first = Estimate.at_rest()
     bias.correct(first, vehicle)
-    broken = msgspec.structs.replace(first, t_ns=300_000_000, velocity_north_mps=float("nan"))
-    bias.correct(broken, vehicle)
+    for k in (1, 2):
+        bias.correct(msgspec.structs.replace(first, t_ns=k * 300_000_000, **broken), vehicle)
     np.testing.assert_array_equal(bias.bias_mps, 0.0)
+    assert np.isfinite(bias.covariance).all()
+
+
+def test_the_bias_is_bounded():
     tight, _ = drifting(0.3, 50, Disturbance(sd_mps=0.1, max_mps=0.01), velocity_north_mps=0.2)
     assert tight.bias_mps[0] == 0.01
 
@@ -215,15 +192,8 @@ def test_a_current_that_changes_with_time_as_the_profile_says_needs_no_bias():
     for k in range(45_000):
         t_s = k * step_s
         if k % 300 == 0:
-            north, east = (u + current(t_s)) * along
-            estimate = msgspec.structs.replace(
-                Estimate.at_rest(heading_rad=heading),
-                t_ns=k * 1_000_000,
-                velocity_north_mps=north,
-                velocity_east_mps=east,
-                current=flat(current(t_s) * along),
-            )
-            bias.correct(estimate, vehicle)
+            velocity_mps, known = (u + current(t_s)) * along, water(*(current(t_s) * along))
+            bias.correct(moving(velocity_mps, heading_rad=heading, t_ns=k * 1_000_000, current=known), vehicle)
         u += -u * abs(u) * step_s - 0.4 * (current(t_s + step_s) - current(t_s))
     assert abs(u) > 0.005  # the change of the current has moved it through the water
     np.testing.assert_allclose(bias.bias_mps, 0.0, atol=1e-3)
@@ -247,7 +217,7 @@ def largest_bias(share: float) -> float:
     """Return the largest bias (m/s) in still water, in the 12 s after port begins to deliver a share of its thrust."""
     node = ControllerNode(PAPER, HURRYING, ControllerConfig(disturbance=ON))
     node.arbiter.request(Action.ARM)
-    truth = msgspec.structs.replace(Estimate.at_rest(depth_m=0.0), current=flat(np.zeros(2)))
+    truth = msgspec.structs.replace(Estimate.at_rest(depth_m=0.0), current=water())
     vehicle, reported, largest = Prediction(PAPER), np.zeros(3), 0.0
     for k in range(80):
         t_ns = k * 300_000_000
@@ -266,7 +236,6 @@ def largest_bias(share: float) -> float:
 
 
 def test_a_thruster_that_fails_teaches_no_current():
-    assert largest_bias(1.0) < 0.005
     assert largest_bias(0.4) < 0.045  # 0.06 where the loss teaches it
     assert largest_bias(0.02) < 0.075  # 0.099 where it learns while the thruster has the smallest share
 
@@ -279,12 +248,11 @@ def test_a_current_of_three_standard_deviations_is_learned_in_the_first_seconds(
 
 
 @pytest.mark.parametrize("known", [True, False])
-@pytest.mark.parametrize("arm_m", [(0.0, 0.0), (0.05, 0.0), (-0.25, 0.0), (0.0, 0.15), (0.1, -0.2)])
+@pytest.mark.parametrize("arm_m", [(0.0, 0.0), (-0.25, 0.0), (0.1, -0.2)])
 def test_the_lever_arm_to_the_estimated_point_is_learned_while_the_vehicle_turns(arm_m, known):
     """The corrected estimates are then those of the origin, and a current that is not known is learned beside it."""
     observer, vehicle = DisturbanceObserver(DEFAULT, PAPER), Prediction(PAPER)
-    truth = msgspec.structs.replace(Estimate.at_rest(), velocity_north_mps=WATER[0], velocity_east_mps=WATER[1])
-    truth = msgspec.structs.replace(truth, current=flat(WATER))
+    truth = moving(WATER, current=water(*WATER))
     away = ReferencePoint(forward_m=-arm_m[0], starboard_m=-arm_m[1])  # its origin is the point that is estimated
     for k in range(200):
         side_N = 20.0 * np.sin(0.2 * k)
@@ -313,7 +281,7 @@ FORWARD = 0.2 / (0.2 - 0.15j)
 
 
 @pytest.mark.parametrize(
-    ("water", "heading", "yaw_radps", "held"),
+    ("flow_mps", "heading", "yaw_radps", "held"),
     [
         ((0.0, 0.0), 0.5, 0.0, FORWARD * np.exp(0.5j)),  # at rest the forward part,
         ((0.0, 0.0), 0.5, 0.5, 0.0),  # while it turns the origin
@@ -323,7 +291,7 @@ FORWARD = 0.2 / (0.2 - 0.15j)
         ((-0.015, 0.0), 0.0, 0.0, 0.5 * (1.0 + FORWARD)),  # half of either at 0.03 of the top speed
     ],
 )
-def test_the_estimated_point_is_held_along_the_water_and_at_rest_its_forward_part(water, heading, yaw_radps, held):
+def test_the_estimated_point_is_held_along_the_water_and_at_rest_its_forward_part(flow_mps, heading, yaw_radps, held):
     """A target that turns with the vehicle would make it turn for ever."""
     arm = np.array([0.2, -0.15])
     observer, vehicle = DisturbanceObserver(DEFAULT, PAPER), Prediction(PAPER)
@@ -331,32 +299,28 @@ def test_the_estimated_point_is_held_along_the_water_and_at_rest_its_forward_par
     belief.mean[2:4], belief.covariance[2:4, 2:4] = arm, 1e-6 * np.eye(2)
     observer.restore(belief, 0)
     turning = 1j * yaw_radps * complex(*arm) * np.exp(1j * heading)  # the origin is at rest
-    given = msgspec.structs.replace(
-        Estimate.at_rest(heading_rad=heading),
-        yaw_rate_radps=yaw_radps,
-        velocity_north_mps=turning.real,
-        velocity_east_mps=turning.imag,
-    )
+    velocity_mps, current = (turning.real, turning.imag), water(*flow_mps)
     for k in range(400):
-        given = msgspec.structs.replace(given, t_ns=k * 300_000_000, current=flat(np.array(water)))
+        given = moving(
+            velocity_mps, heading_rad=heading, yaw_rate_radps=yaw_radps, t_ns=k * 300_000_000, current=current
+        )
         corrected = observer.correct(given, vehicle, learns=False)
     origin = complex(*arm) * (held - np.exp(1j * heading))
     np.testing.assert_allclose((corrected.north_m, corrected.east_m), (origin.real, origin.imag), atol=0.004)
 
 
-@pytest.mark.parametrize("period_s", [3.0, 5.0, 7.0])
+@pytest.mark.parametrize("period_s", [3.0, 7.0])
 def test_waves_are_no_current_no_arm_and_no_other_vehicle_and_the_vehicle_yields_to_them(period_s):
     """It drifts with the water and turns its bow slowly through the direction of the waves; then they end."""
     observer, vehicle = DisturbanceObserver(DEFAULT, PAPER), Prediction(PAPER)
     rate, speed_mps, slow = 2.0 * np.pi / period_s, 0.08, []
     for k in range(500):
         t_s = 0.3 * k
-        moving = speed_mps * np.sin(rate * t_s) * (t_s < 90.0)
+        speed = speed_mps * np.sin(rate * t_s) * (t_s < 90.0)
         moved = speed_mps / rate * (1.0 - np.cos(rate * t_s)) * (t_s < 90.0)
-        given = Estimate(
-            t_ns=k * 300_000_000, north_m=0.6 * moved, east_m=0.8 * moved, velocity_north_mps=0.6 * moving,
-            velocity_east_mps=0.8 * moving, heading_rad=0.02 * t_s, yaw_rate_radps=0.02, depth_m=1.0,
-        )  # fmt: skip
+        turning = {"heading_rad": 0.02 * t_s, "yaw_rate_radps": 0.02}
+        place = {"north_m": 0.6 * moved, "east_m": 0.8 * moved, "depth_m": 1.0}
+        given = moving((0.6 * speed, 0.8 * speed), t_ns=k * 300_000_000, **place, **turning)
         corrected = observer.correct(given, vehicle)
         slow.append((corrected.north_m, corrected.east_m, corrected.velocity_north_mps, corrected.velocity_east_mps))
         if t_s == pytest.approx(84.0):
@@ -393,7 +357,7 @@ def test_an_acceleration_that_is_not_explained_is_the_model_s_error(share: float
     vehicle, model = Prediction(PAPER), Prediction(PAPER)
     model.sent = vehicle.sent
     vehicle.set_shares((share, share))
-    estimate, wrong = msgspec.structs.replace(Estimate.at_rest(), current=flat(np.zeros(2))), []
+    estimate, wrong = msgspec.structs.replace(Estimate.at_rest(), current=water()), []
     for k in range(60):
         vehicle.sent.add(pushing(estimate.t_ns, (5.0, 5.0) if k < 20 else (0.0, 0.0)))
         observer.correct(estimate, model)

@@ -59,6 +59,10 @@ class Controlled:
             self.outputs += self.node.step(self.t_ms * MS, inbox)
         return [message for message in self.outputs if isinstance(message, Plan)]
 
+    def after(self, cycles: int, *sources: From) -> Controlled:
+        self.run(cycles, *sources)
+        return self
+
     def choose(self, name: str, *sources: From) -> Acknowledgement:
         self.run(1, *sources, command=Command(command_id=1, action=Action.SOURCE, source=name))
         (reply,) = (message for message in self.outputs if isinstance(message, Acknowledgement))
@@ -77,15 +81,13 @@ class Controlled:
 
 @pytest.mark.parametrize("late_ms", [500, 1000])
 def test_a_publisher_that_restarts_with_late_stamps_is_used_within_1_5_s(late_ms: int) -> None:
-    controlled = Controlled()
-    controlled.run(10, From())
+    controlled = Controlled().after(10, From())
     controlled.run(5, From(OTHER, late_ms=late_ms))
     assert controlled.active == OTHER
 
 
 def test_a_source_elsewhere_takes_over_only_after_ten_seconds_of_silence() -> None:
-    controlled = Controlled()
-    controlled.run(10, From())
+    controlled = Controlled().after(10, From())
     controlled.run(30, From(OTHER, north_m=60.0))
     assert controlled.active == TRUE
     assert controlled.run(10, From(OTHER, north_m=60.0))[-1].estimate_t_ns == (controlled.t_ms - PERIOD_MS) * MS
@@ -99,22 +101,19 @@ def test_a_candidate_agrees_within_the_deviations_told_or_half_a_metre_each(
     off_m: float, sd_m: float | None, agrees: bool
 ) -> None:
     covariance = None if sd_m is None else np.diag([sd_m**2, sd_m**2, 1e-4, 1e-4, 1e-4, 1e-6])
-    controlled = Controlled()
-    controlled.run(10, From(covariance=covariance))
+    controlled = Controlled().after(10, From(covariance=covariance))
     controlled.run(4, From(OTHER, north_m=off_m, covariance=covariance))
     assert controlled.active == (OTHER if agrees else TRUE)
 
 
 def test_a_publisher_that_only_sends_implausible_estimates_is_replaced() -> None:
-    controlled = Controlled()
-    controlled.run(10, From())
+    controlled = Controlled().after(10, From())
     controlled.run(6, From(north_m=float("nan")), From(OTHER))
     assert controlled.active == OTHER
 
 
 def test_a_publisher_that_repeats_one_estimate_is_replaced() -> None:
-    controlled = Controlled()
-    controlled.run(10, From())
+    controlled = Controlled().after(10, From())
     frozen = From().estimate(controlled.t_ms - PERIOD_MS)
     for k in range(5):
         controlled.node.receive(ReceivedMessage(frozen, TRUE, 1000 + k, controlled.t_ms * MS))
@@ -123,8 +122,7 @@ def test_a_publisher_that_repeats_one_estimate_is_replaced() -> None:
 
 
 def test_old_estimates_of_the_active_source_do_not_delay_the_health() -> None:
-    controlled = Controlled()
-    controlled.run(10, From())
+    controlled = Controlled().after(10, From())
     old = From().estimate(controlled.t_ms - PERIOD_MS)
     for k in range(2):
         controlled.node.receive(ReceivedMessage(old, TRUE, 1000 + k, controlled.t_ms * MS))
@@ -150,8 +148,7 @@ def test_named_sources_by_order_and_back_after_five_seconds_of_agreement() -> No
 
 def test_an_operator_chooses_a_source_and_the_choice_is_saved_and_restored() -> None:
     plain, dvl = From(), From(OTHER, north_m=40.0, name="dvl")
-    controlled = Controlled()
-    controlled.run(10, plain, dvl)
+    controlled = Controlled().after(10, plain, dvl)
     rejected = controlled.choose("gnss", plain, dvl)
     assert not rejected.accepted
     assert rejected.why == "no valid message of source gnss in the last 10 s; sources: default, dvl"
@@ -168,8 +165,7 @@ def test_an_operator_chooses_a_source_and_the_choice_is_saved_and_restored() -> 
 
 def test_without_a_name_the_order_of_the_settings_counts_again() -> None:
     plain, dvl = From(), From(OTHER, north_m=0.3, name="dvl")
-    controlled = Controlled()
-    controlled.run(10, plain, dvl)
+    controlled = Controlled().after(10, plain, dvl)
     controlled.choose("dvl", plain, dvl)
     controlled.run(1, plain, dvl)
     assert controlled.active == OTHER

@@ -27,7 +27,7 @@ HULL_M = 0.3
 WIDE = msgspec.structs.replace(
     WALLS, keep_in=(polygon(np.array([[-20.0, -20.0], [-20.0, 20.0], [20.0, 20.0], [20.0, -20.0]])),)
 )
-SEEDS = range(60)
+SEEDS = range(20)
 
 
 def track(seed: int) -> Array:

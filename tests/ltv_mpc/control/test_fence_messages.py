@@ -15,7 +15,7 @@ from ltv_mpc.errors import ConfigError
 from ltv_mpc.geofence.fence import Disc
 from ltv_mpc.messages import Action, Command, FenceInForce, Health, Obstacle, Obstacles
 from ltv_mpc.references.geodesy import Place
-from tests.ltv_mpc.control.test_restore import PERIOD_NS, Flight, armed
+from tests.ltv_mpc.control.flights import PERIOD_NS, Flight, armed
 
 FAR = Fence(margin_m=2.0, keep_out_disc=(Disc(name="wreck", centre=Place(north_m=500.0, east_m=0.0), radius_m=3.0),))
 POINT = references.Point(north_m=0.0, east_m=0.0)
@@ -34,15 +34,8 @@ def published(flight: Flight) -> list[FenceInForce]:
 def ship(flight: Flight, number: int = 12) -> Obstacles:
     """Return a report of a ship 300 m away, as of now."""
     t_ns = flight.estimate.t_ns
-    one = Obstacle(
-        id=number,
-        t_ns=t_ns,
-        north_m=0.0,
-        east_m=300.0,
-        velocity_north_mps=1.0,
-        velocity_east_mps=0.0,
-        radius_m=10.0,
-    )
+    velocity = {"velocity_north_mps": 1.0, "velocity_east_mps": 0.0}
+    one = Obstacle(id=number, t_ns=t_ns, north_m=0.0, east_m=300.0, radius_m=10.0, **velocity)
     return Obstacles(t_ns=t_ns, obstacles=(one,))
 
 

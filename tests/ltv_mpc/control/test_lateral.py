@@ -10,10 +10,11 @@ from ltv_mpc import Controller, Estimate, Plan, PlanOrigin, Vehicle, advance, re
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.control.resolution import settled
-from ltv_mpc.messages import Authority, ControllerState, CurrentProfile, Health
+from ltv_mpc.messages import Authority, ControllerState, Health
 from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.safety.command_arbiter import ThrustOverride
 from tests.ltv_mpc.control.problems import SOLVER_NAMES
+from tests.ltv_mpc.estimates import moving, water
 
 PAPER = Vehicle.load("paper")
 START = Estimate.at_rest(north_m=-1.0, heading_rad=0.3, depth_m=2.0)
@@ -85,8 +86,7 @@ def test_an_override_is_commanded_as_it_is():
 
 
 ORIGIN = references.Point(north_m=0.0, east_m=0.0, depth_m=2.0)
-STILL = CurrentProfile(depth_m=np.zeros(1), north_mps=np.zeros(1), east_mps=np.zeros(1))
-OFF = msgspec.structs.replace(START, current=STILL)
+OFF = msgspec.structs.replace(START, current=water())
 
 
 def node_after(state: ControllerState, **settings: object) -> tuple[ControllerNode, Plan]:
@@ -97,26 +97,22 @@ def node_after(state: ControllerState, **settings: object) -> tuple[ControllerNo
     return node, plan
 
 
-def test_a_restored_controller_continues_with_the_share_and_tells_it():
+def test_a_restored_node_continues_with_the_share_and_tells_it():
     node, plan = node_after(ControllerState(t_ns=0, thrust_shares=(0.6, 1.0)))
     assert plan.health is Health.DEGRADED
     assert plan.health_why == "port thruster weak: box reduced to 37.5 N"
     assert node.health(0) == (Health.DEGRADED, plan.health_why)
 
 
-def test_the_settings_can_leave_it_at_the_alarm():
-    _, plan = node_after(ControllerState(t_ns=0, thrust_shares=(0.6, 1.0)), reduce_weak_thruster=False)
-    assert plan.health is Health.NOMINAL
-
-
 @pytest.mark.parametrize(("reduces", "shares"), [(True, (0.6, 1.0)), (False, (1.0, 1.0))])
-def test_a_node_plans_with_the_share_that_it_was_given(reduces, shares):
+def test_a_node_plans_with_the_share_unless_the_settings_leave_it_at_the_alarm(reduces, shares):
     state = ControllerState(t_ns=0, thrust_shares=(0.6, 1.0), authority=Authority.CONTROLLER)
     _, plan = node_after(state, reduce_weak_thruster=reduces)
     alone = Controller(PAPER, ORIGIN, ControllerConfig())
     alone.set_thrust_shares(shares)
     np.testing.assert_array_equal(plan.thrust_N, alone.plan(OFF, t_ns=0).thrust_N)
     assert np.abs(plan.thrust_N[:, :2]).max() > 10.0
+    assert plan.health is (Health.DEGRADED if reduces else Health.NOMINAL)
 
 
 @pytest.mark.parametrize(
@@ -137,8 +133,7 @@ def test_a_vehicle_rests_within_a_distance_of_its_point(radius_m, tolerance_m, c
         """Largest change of a plan when a vehicle that kept its point is suddenly off."""
         point = references.Point(north_m=0.0, east_m=0.0, heading_deg=heading_deg)
         controller = Controller(PAPER, point, ControllerConfig(position_tolerance_m=tolerance_m))
-        water = CurrentProfile(depth_m=np.zeros(1), north_mps=np.array([-current_mps]), east_mps=np.zeros(1))
-        at = msgspec.structs.replace(Estimate.at_rest(depth_m=5.0), velocity_down_mps=sinking_mps, current=water)
+        at = moving(depth_m=5.0, velocity_down_mps=sinking_mps, current=water(-current_mps))
         plans = [controller.plan(msgspec.structs.replace(at, t_ns=k * 300_000_000)) for k in range(20)]
         assert all(plan.origin is PlanOrigin.SOLVED for plan in plans)  # also the first one
         after = controller.plan(msgspec.structs.replace(at, t_ns=6_000_000_000, north_m=off_m))

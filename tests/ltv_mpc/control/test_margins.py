@@ -5,11 +5,13 @@ The oracle is the controller itself, with its observer and its prediction, on a 
 
 from __future__ import annotations
 
+import copy
+
 import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc import Controller, ControllerConfig, CurrentProfile, Estimate, Vehicle, references
+from ltv_mpc import Controller, ControllerConfig, Vehicle, references
 from ltv_mpc.control.config import Disturbance, ResolvedConfig, WeightSettings
 from ltv_mpc.control.lateral import RESTING_MPS
 from ltv_mpc.control.margins import Change, Loop, steady_state
@@ -17,6 +19,7 @@ from ltv_mpc.control.resolution import kept_share, proposed_slowness, settled
 from ltv_mpc.control.scaling import characteristic_scales, default_weights
 from ltv_mpc.vehicle.parameters import Translation
 from services.tools import vehicle_check
+from tests.ltv_mpc.estimates import moving, water
 from tests.ltv_mpc.reports import report
 from tests.ltv_mpc.vehicles import changed
 
@@ -68,7 +71,7 @@ def flown(
     """
     p, h = vehicle.coefficients(), 0.01
     X, C = steady_state(p, share * characteristic_scales(vehicle).speed_mps)
-    profile = CurrentProfile(depth_m=np.zeros(1), north_mps=C[:1], east_mps=C[1:])
+    profile = water(*C)
     controller = Controller(vehicle, references.Point(north_m=0.0, east_m=0.0), config)
     n, e, u, v, psi, r = off_m, off_m, *X[2:6]
     thrust, believed, late = X[6:].copy(), X[6:].copy(), round(change.dead_time_s / h)
@@ -80,17 +83,11 @@ def flown(
     for k in range(30 * cycles):
         if k % 30 == 0:
             track.append((n, e))
-            estimate = Estimate(
-                t_ns=k * 10_000_000,
-                north_m=n,
-                east_m=e,
-                heading_rad=psi,
-                yaw_rate_radps=r,
-                velocity_north_mps=np.cos(psi) * u - np.sin(psi) * v + C[0],
-                velocity_east_mps=np.sin(psi) * u + np.cos(psi) * v + C[1],
-                velocity_down_mps=2.0 * RESTING_MPS,  # or it would rest within a millimetre of its point
-                current=profile,
-            )
+            north = np.cos(psi) * u - np.sin(psi) * v + C[0]
+            east = np.sin(psi) * u + np.cos(psi) * v + C[1]
+            sinks = {"velocity_down_mps": 2.0 * RESTING_MPS}  # or it would rest within a millimetre of its point
+            there = {"north_m": n, "east_m": e, "heading_rad": psi, "yaw_rate_radps": r}
+            estimate = moving((north, east), t_ns=k * 10_000_000, current=profile, **there, **sinks)
             applied = report(k * 10_000_000, [*believed, 0.0], [*sent[-1], 0.0])
             pending = controller.plan(estimate, t_ns=k * 10_000_000, applied=applied)
             assert pending.origin == "solved"
@@ -115,20 +112,22 @@ STRONG = 0.2
 OBSERVING = ControllerConfig(disturbance=Disturbance(sd_mps=0.15, max_mps=3.0, lever_arm_sd_m=0.0, model_sd=0.0))
 
 
-@pytest.mark.parametrize("kind", ["gain_up_db", "gain_down_db", "dead_time_s", "lag_s"])
-def test_an_error_dies_away_within_each_margin_and_grows_beyond_it(kind):
+@pytest.mark.parametrize(
+    ("kind", "field", "sign"),
+    [
+        ("gain_up_db", "gain_db", 1.0),
+        ("gain_down_db", "gain_db", -1.0),
+        ("dead_time_s", "dead_time_s", 1.0),
+        ("lag_s", "lag_s", 1.0),
+    ],
+)
+def test_an_error_dies_away_within_each_margin_and_grows_beyond_it(kind, field, sign):
     """While it is so small that the flight is linear in it: all margins are those of the motion to the side."""
     config = settled(OBSERVING, BOAT)
     loop = Loop(BOAT, config, STRONG)
     margin = getattr(loop.margins(), kind)
     for part in (0.85, 1.3):
-        size = part * margin
-        change = {
-            "gain_up_db": Change(gain_db=size),
-            "gain_down_db": Change(gain_db=-size),
-            "dead_time_s": Change(dead_time_s=round(size, 2)),  # whole steps of the plant
-            "lag_s": Change(lag_s=size),
-        }[kind]
+        change = Change(**{field: sign * round(part * margin, 2)})  # dead time in whole steps of the plant
         aside_m = np.abs(flown(BOAT, config, STRONG, change, off_m=1e-6, cycles=200)[:, 1])
         assert loop.keeps([change]) == (part < 1.0)
         assert (aside_m[150:].max() < 5e-7) == (part < 1.0)
@@ -142,21 +141,16 @@ def test_the_gain_of_the_observer_is_that_of_the_one_that_flies():
     """Once it has settled, one velocity that is 0.1 mm/s too high changes its current by the gain times that."""
     share = 0.1  # in a stronger current the observer needs minutes to settle
     X, C = steady_state(BOAT.coefficients(), share * characteristic_scales(BOAT).speed_mps)
-    profile = CurrentProfile(depth_m=np.zeros(1), north_mps=C[:1], east_mps=C[1:])
+    profile = water(*C)
+    controller = Controller(BOAT, references.Point(north_m=0.0, east_m=0.0), OBSERVING)
+    for k in range(299):
+        controller.plan(moving(t_ns=k * CYCLE_NS, current=profile), applied=report(k * CYCLE_NS, [*X[6:], 0.0]))
     learned = []
-    for error in (np.zeros(2), np.array([1e-4, 0.0]), np.array([0.0, 1e-4])):
-        controller = Controller(BOAT, references.Point(north_m=0.0, east_m=0.0), OBSERVING)
-        for k in range(300):
-            north, east = error * (k == 299)
-            estimate = msgspec.structs.replace(
-                Estimate.at_rest(),
-                t_ns=k * CYCLE_NS,
-                velocity_north_mps=north,
-                velocity_east_mps=east,
-                current=profile,
-            )
-            controller.plan(estimate, applied=report(k * CYCLE_NS, [*X[6:], 0.0]))
-        learned.append(controller.observer.current[0])
+    for north_mps, east_mps in ((0.0, 0.0), (1e-4, 0.0), (0.0, 1e-4)):
+        observer = copy.deepcopy(controller.observer)
+        wrong = moving((north_mps, east_mps), t_ns=299 * CYCLE_NS, current=profile)
+        observer.correct(wrong, controller.prediction)
+        learned.append(observer.current[0])
     found = [(learned[1] - learned[0])[0] / 1e-4, (learned[2] - learned[0])[1] / 1e-4]
     gain = Loop(BOAT, settled(OBSERVING, BOAT), share).observer_gain
     np.testing.assert_allclose(np.diag(gain), found, rtol=0.05)
@@ -187,8 +181,7 @@ def test_dead_time_is_continuous_across_the_cycle():
 
 
 def test_drag_that_no_stage_resolves_leaves_no_margin():
-    stiff = changed(BOAT, {"surge.linear_damping_kgps": 9e4})
-    config = settled(ControllerConfig(), stiff)
+    stiff, config = changed(BOAT, {"surge.linear_damping_kgps": 9e4}), settled(ControllerConfig(), BOAT)
     loop = Loop(stiff, config, STRONG)
     assert loop.radius() == np.inf
     assert loop.margins().gain_up_db == 0.0

@@ -16,11 +16,13 @@ from ltv_mpc.control.ocp.limits import MIN_PENALTY
 from ltv_mpc.control.ocp.problem import Problem
 from ltv_mpc.control.problem_data import Constants
 from ltv_mpc.control.resolution import settled
-from ltv_mpc.control.solvers import make, osqp, riccati, solve_qp
+from ltv_mpc.control.solvers import SOLVERS, make, osqp, riccati, solve_qp
 from ltv_mpc.control.solvers.sparse import EXCESS, QP, SparseLayout, residuals, solution_of
 from ltv_mpc.control.solvers.sweep import Sweep
-from ltv_mpc.messages import Array, Estimate, SolveStatus
+from ltv_mpc.messages import Array, Estimate, PlanOrigin, SolveStatus
 from ltv_mpc.references import Line, Place, Point
+from ltv_mpc.vehicle.parameters import Vehicle
+from tests.foreign_plant.flight import Flight, distance_from_outline_m
 from tests.ltv_mpc.control.flights import at_rest, fly
 from tests.ltv_mpc.control.problems import LIMITS, PAPER, SOLVER_NAMES, Form, answer, equidistant, motion, precise
 
@@ -160,37 +162,61 @@ def test_the_exact_flow_is_judged_by_them_too() -> None:
     assert cost(X, U, C, target, bound) - cost(X, U, C, target, free) == pytest.approx(foreseen)
 
 
-def turned(limits: MotionLimits, rate: float = 0.0) -> Array:
-    """Yaw rates foreseen by plans of the first seconds, off the line and across it."""
-    controller = Controller(PAPER, Point(north_m=0.0, east_m=0.0), settings(limits))
-    estimate = Estimate.at_rest(north_m=0.0, east_m=2.0, heading_rad=0.0)
-    estimate = msgspec.structs.replace(estimate, yaw_rate_radps=rate)
-    plans = []
-    for cycle in range(4):
-        plan = controller.plan(msgspec.structs.replace(estimate, t_ns=cycle * 300_000_000))
-        assert plan.origin.value == "solved"
-        plans.append(plan)
-        at = plan.states[1]
-        estimate = msgspec.structs.replace(
-            Estimate.at_rest(north_m=float(at[0]), east_m=float(at[1]), heading_rad=float(at[4])),
-            yaw_rate_radps=float(at[5]),
-        )
-    rates: Array = np.abs(np.stack([plan.states[1:, 5] for plan in plans]))
-    return rates
-
-
-def test_a_controller_keeps_within_them_where_it_can_and_comes_back_where_it_cannot() -> None:
-    slow = MotionLimits.symmetric(yaw_rate_radps=0.1)
-    assert turned(MotionLimits()).max() > 0.17
-    assert turned(slow).max() < 0.102
-    fast = turned(slow, rate=0.4)
-    assert fast[0, 0] > 0.2  # no thruster stops it within a stage
-    assert fast[-1, 1:].max() < 0.1021
-
-
 def test_a_limit_of_zero_is_refused() -> None:
     """A lower limit of zero surge is none: a vehicle at rest keeps it."""
     for name in ("min_yaw_rate_radps", "max_yaw_rate_radps", "max_surge_mps"):
         with pytest.raises(msgspec.ValidationError, match=name):
             msgspec.convert({"limits": {name: 0.0}}, ControllerConfig)
     assert msgspec.convert({"limits": {"min_surge_mps": 0.0}}, ControllerConfig).limits.min_surge_mps == 0.0
+
+
+# --- bow first on paths ---
+
+
+def surge_and_distance(limits: MotionLimits) -> tuple[np.ndarray, float]:
+    """Follow the square from a start with the stern along its first side.
+
+    Return the surge speed in each plan from the first ahead on (m/s), and the mean distance from the outline (m).
+    """
+    flight = Flight(heading_rad=-math.pi / 2, config=ControllerConfig(limits=limits), armed=True)
+    flight.fly(0.5)
+    flight.follow_square()
+    track = flight.fly(60.0)
+    surge = np.array([plan.states[0, 2] for plan in flight.plans if plan.progress is not None])
+    return surge[np.argmax(surge > 0.1) :], float(distance_from_outline_m(track).mean())
+
+
+def test_a_craft_that_is_weaker_astern_turns_its_bow_to_the_path() -> None:
+    either, astern_m = surge_and_distance(MotionLimits(bow="either"))
+    default, ahead_m = surge_and_distance(MotionLimits())
+    assert (either < -0.1).mean() > 0.5  # what the limit is for
+    assert (default < -0.05).mean() == 0.0
+    assert ahead_m < astern_m
+
+
+@pytest.mark.parametrize(
+    ("name", "bow"), [("paper", "either"), ("low-yaw", "either"), ("weak-reverse", "first"), ("surface", "first")]
+)
+def test_the_bow_goes_first_by_default_if_the_vehicle_is_weaker_astern(name: str, bow: str) -> None:
+    vehicle = Vehicle.load(name)
+    assert settled(ControllerConfig(), vehicle).limits.bow == bow
+    assert settled(ControllerConfig(limits=MotionLimits(bow="either")), vehicle).limits.bow == "either"
+
+
+def test_only_a_path_forbids_to_go_astern() -> None:
+    limits = MotionLimits(bow="first", min_surge_mps=-0.5)
+    assert limits.on(path=False) is limits
+    assert limits.on(path=True) == msgspec.structs.replace(limits, min_surge_mps=0.0)
+    assert MotionLimits(bow="either").on(path=True).min_surge_mps is None
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_a_path_and_a_point_are_planned_by_turns(solver: str) -> None:
+    """The limit of surge comes and goes with the reference, and the solver with it."""
+    weak = Vehicle.load("weak-reverse")
+    line = Line(start=Place(north_m=0.0, east_m=0.0), end=Place(north_m=9.0, east_m=0.0), speed_mps=0.2)
+    controller, estimate = Controller(weak, line, ControllerConfig(solver=solver)), Estimate.at_rest()
+    for k, reference in enumerate((line, Point(north_m=2.0, east_m=0.0), line)):
+        controller.follow(reference)
+        plan = controller.plan(msgspec.structs.replace(estimate, t_ns=k * 300_000_000))
+        assert plan.origin is PlanOrigin.SOLVED, plan.why

@@ -10,7 +10,7 @@ import pytest
 from ltv_mpc import Vehicle
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.nominal import PREVIOUS_PLAN, STEERED_AHEAD, Cycle, choose_nominal
-from ltv_mpc.control.ocp.fence import NO_PATH, Scene, fence_cost
+from ltv_mpc.control.ocp.fence import Scene, fence_cost
 from ltv_mpc.control.problem_data import Constants
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.geofence.allowed_path import NO_ZONES
@@ -18,6 +18,7 @@ from ltv_mpc.geofence.fence import Fence
 from ltv_mpc.geofence.zones import pack_zones
 from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.dynamics import coefficients
+from tests.ltv_mpc.control import fence_scenes
 from tests.ltv_mpc.geofence.shapes import disc
 from tests.ltv_mpc.vehicles import changed
 
@@ -30,17 +31,12 @@ CONSTANTS = Constants.of(WEAK, CONFIG.weights, CONFIG.knots)
 def scene(*discs: tuple[float, float]) -> Scene:
     """Return a scene with discs of 1 m around these places."""
     zones = tuple(disc(*place, 1.0) for place in discs)
-    return Scene(
+    return fence_scenes.scene(
         zones=pack_zones(Fence(margin_m=0.0, keep_out_disc=zones)) if zones else NO_ZONES,
         need=np.full(len(discs), 0.5),
         exits=np.zeros((len(discs), 4)),
         discs=np.empty((0, 7)),
-        disc_need_m=np.zeros(1),
-        stage_s=0.3,
-        path=NO_PATH,
         targets=np.zeros(N, dtype=np.int64),
-        path_reach=0,
-        half_width_m=0.0,
     )
 
 

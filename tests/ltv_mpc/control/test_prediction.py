@@ -5,13 +5,19 @@ from __future__ import annotations
 import msgspec
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from ltv_mpc import CurrentProfile, Estimate, Vehicle
+from ltv_mpc.control.config import Disturbance
 from ltv_mpc.control.delay import Delay
-from ltv_mpc.control.prediction import Prediction, SentCommands, currents_at_depths
+from ltv_mpc.control.disturbance import DisturbanceObserver
+from ltv_mpc.control.prediction import Prediction, SentCommands, currents_at_depths, growth_m
 from ltv_mpc.messages import Applied, CycleTiming
+from ltv_mpc.safety.plan_gate import PlanGate, PlanVerdict
 from ltv_mpc.vehicle.dynamics import heave_acceleration, rates
+from tests.ltv_mpc.estimates import moving, water
 from tests.ltv_mpc.plans import plan_of
 from tests.ltv_mpc.reports import report
 from tests.ltv_mpc.vehicles import changed
@@ -32,18 +38,8 @@ def sent() -> Prediction:
 
 
 def estimate(t_ns: int) -> Estimate:
-    return Estimate(
-        t_ns=t_ns,
-        north_m=1.0,
-        east_m=-2.0,
-        depth_m=10.2,
-        heading_rad=0.7,
-        yaw_rate_radps=0.1,
-        velocity_north_mps=0.1,
-        velocity_east_mps=0.02,
-        velocity_down_mps=0.15,
-        current=PROFILE,
-    )
+    place = {"north_m": 1.0, "east_m": -2.0, "depth_m": 10.2, "heading_rad": 0.7, "yaw_rate_radps": 0.1}
+    return moving((0.1, 0.02), t_ns=t_ns, velocity_down_mps=0.15, current=PROFILE, **place)
 
 
 def applied(t_ns: int, thrust=(0.0, 0.0, 0.0), **changes) -> Applied:
@@ -82,14 +78,7 @@ def test_the_prediction_agrees_with_an_independent_integration():
 @pytest.mark.parametrize("seconds", [0.1, 30.0])
 def test_without_reports_the_thrust_follows_the_lag_from_rest_before_the_first_plan(lag_s: float, seconds: float):
     """By hand: 50 N (1 - exp(-t / lag)) after a step of the command."""
-    slow = {"lag_s": lag_s}
-    thruster = msgspec.structs.replace(
-        PAPER.thruster,
-        port=msgspec.structs.replace(PAPER.thruster.port, **slow),
-        starboard=msgspec.structs.replace(PAPER.thruster.starboard, **slow),
-    )
-    vehicle = msgspec.structs.replace(PAPER, thruster=thruster)
-    prediction = Prediction(vehicle)
+    prediction = Prediction(changed(PAPER, {"thruster.port.lag_s": lag_s, "thruster.starboard.lag_s": lag_s}))
     for k in range(100):  # of a plan a cycle the older ones are forgotten
         prediction.sent.add(plan_of(k * 300_000_000, np.full((2, 3), 50.0)))
         if seconds <= 0.3 * (k + 1):
@@ -221,3 +210,162 @@ def test_a_report_without_an_accepted_plan_is_no_receipt():
     for of_other, expected in ((8, 8), (3, 5)):  # without measurements, what another controller expected counts
         delay.restore(of_other, (), ())
         assert delay.expected_ns == expected
+
+
+# --- growth of the uncertainty, against draws of the estimate, the current and the thrust ---
+
+S = 1_000_000_000
+PLACE = {"north_m": 3.0, "east_m": -2.0, "heading_rad": 0.6, "yaw_rate_radps": 0.05}
+MOVING = moving((0.25, 0.15), current=water(), **PLACE)
+SD = np.array([0.4, 0.2, 0.02, 0.03, 0.05, 0.01])
+"""Of north, east, velocity north and east, heading, yaw rate."""
+CORRELATED = np.diag(SD) @ (np.eye(6) + 0.4 * (np.eye(6, k=2) + np.eye(6, k=-2))) @ np.diag(SD)
+
+
+def learning(walk_mps_per_rts: float = 0.01, sd_mps: float | None = None) -> DisturbanceObserver:
+    """Return the bias after one estimate without a current."""
+    bias = DisturbanceObserver(Disturbance(sd_mps=sd_mps, walk_mps_per_rts=walk_mps_per_rts), PAPER)
+    bias.correct(Estimate.at_rest(), Prediction(PAPER))
+    return bias
+
+
+NEVER = learning(sd_mps=0.0)
+
+
+def pushed(port: float = 1.0, starboard: float = 1.0) -> Prediction:
+    """Return a prediction through commands of 8 s, each thruster's scaled."""
+    prediction = Prediction(PAPER)
+    prediction.sent.add(plan_of(0, np.tile([30.0 * port, 22.0 * starboard, 0.0], (28, 1))))
+    return prediction
+
+
+def drawn(t_ns: int, covariance: np.ndarray | None, current_sd: float) -> float:
+    """Return the standard deviation of the predicted position over 400 draws (m)."""
+    rng = np.random.default_rng(1)
+    factor = np.zeros((6, 6)) if covariance is None else np.linalg.cholesky(covariance)
+    places = np.empty((400, 2))
+    for k in range(400):
+        n, e, vn, ve, psi, r = factor @ rng.standard_normal(6)
+        cn, ce = current_sd * rng.standard_normal(2)
+        place = {"north_m": 3.0 + n, "east_m": -2.0 + e, "heading_rad": 0.6 + psi, "yaw_rate_radps": 0.05 + r}
+        estimate = moving((0.25 + vn, 0.15 + ve), current=water(cn, ce), **place)
+        places[k] = pushed(*(1.0 + 0.1 * rng.standard_normal(2))).state_at(estimate, t_ns).X[:2]
+    return float(np.sqrt(places.var(axis=0).sum()))
+
+
+@pytest.mark.parametrize("seconds", [2, 6])
+@pytest.mark.parametrize(
+    ("covariance", "bias"),
+    [(None, NEVER), (CORRELATED, NEVER), (None, learning()), (CORRELATED, learning())],
+)
+def test_the_growth_is_that_of_draws(covariance, bias, seconds):
+    estimate = msgspec.structs.replace(MOVING, covariance=covariance)
+    growth = growth_m(pushed(), estimate, seconds * S, bias.covariance_of_mean(seconds))
+    at_first = 0.0 if covariance is None else float(np.hypot(*SD[:2]))
+    current_sd = 0.0 if bias is NEVER else float(np.sqrt(bias.covariance_of_mean(seconds)[0, 0]))
+    assert growth == pytest.approx(drawn(seconds * S, covariance, current_sd) - at_first, rel=0.15)
+
+
+def test_a_random_walk_of_the_current_adds_up():
+    """By hand: the position of a drifting vehicle has the variance q^2 t^3 / 3 from a walk of q."""
+    bias = learning(0.02)
+    added = bias.covariance_of_mean(9.0) - bias.covariance
+    np.testing.assert_allclose(added * 9.0**2, 0.02**2 * 9.0**3 / 3.0 * np.eye(2))
+
+
+def test_the_standard_deviation_of_a_told_current_counts_at_the_depth_of_the_vehicle():
+    zero = np.zeros(2)
+    profile = CurrentProfile(depth_m=np.array([0.0, 10.0]), north_mps=zero, east_mps=zero, sd_mps=np.array([0.0, 0.2]))
+    estimate = msgspec.structs.replace(MOVING, depth_m=5.0, current=profile)
+    growth = growth_m(pushed(), estimate, 6 * S, NEVER.covariance_of_mean(6.0))
+    assert growth == pytest.approx(drawn(6 * S, None, 0.1), rel=0.15)
+    assert growth > 1.5 * growth_m(pushed(), MOVING, 6 * S, NEVER.covariance_of_mean(6.0))
+
+
+# --- commands in force, by time ---
+
+
+def test_a_plan_is_in_force_from_its_first_knot_and_the_next_takes_over_at_its_own():
+    sent = SentCommands(PAPER)
+    sent.add(plan_of(0, [[0, 0, 0], [30, -30, 10], [60, -60, 20]]))
+    sent.add(plan_of(150_000_000, [[15, -15, 5], [0, 0, 0], [0, 0, 0]]))
+    at = sent.at(np.array([75_000_000, 150_000_000, 300_000_000, 450_000_000]))
+    np.testing.assert_allclose(at[:, 0], [7.5, 15.0, 7.5, 0.0], atol=1e-6)
+    np.testing.assert_allclose(at[:, 1], [-7.5, -15.0, -7.5, 0.0], atol=1e-6)
+
+
+def test_after_the_last_knot_every_thruster_ramps_to_rest_at_its_own_slew_limit():
+    vehicle = msgspec.structs.replace(PAPER, failsafe_vertical_N=-10.0)
+    sent = SentCommands(vehicle)
+    sent.add(plan_of(0, [[0, 0, 0], [20, -10, 30]]))
+    end = 300_000_000
+    at = sent.at(np.array([end, end + 100_000_000, end + 200_000_000, end + 400_000_000, end + 2 * S]))
+    np.testing.assert_allclose(at[:, 0], [20, 10, 0, 0, 0], atol=1e-6)
+    np.testing.assert_allclose(at[:, 1], [-10, 0, 0, 0, 0], atol=1e-6)
+    np.testing.assert_allclose(at[:, 2], [30, 20, 10, -10, -10], atol=1e-6)
+
+
+@given(
+    plan_timeout_s=st.floats(0.5, 6.0),
+    period_s=st.sampled_from([0.3, 0.7, 2.1]),
+    cycles=st.integers(2, 4),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_the_commands_in_force_are_those_of_the_actuators_when_plans_stop(plan_timeout_s, period_s, cycles, seed):
+    """Plans of 6 s come at their start, and then none: the gate goes to rest, and the controller predicts it."""
+    vehicle = msgspec.structs.replace(PAPER, plan_timeout_s=plan_timeout_s, failsafe_vertical_N=-10.0)
+    period_ns = round(period_s * S)
+    gate, sent = PlanGate(vehicle), SentCommands(vehicle, period_ns)
+    gate.command_at(0)
+    change = np.random.default_rng(seed).uniform(-30.0, 30.0, (21, 3))
+    for k in range(cycles):
+        start = k * period_ns
+        change[0] = gate.command_at(start)
+        one = plan_of(start, np.clip(np.cumsum(change, axis=0), -62.5, 62.5))
+        sent.add(one)
+        assert gate.offer(one, 1, k, start) is PlanVerdict.ACCEPTED
+    times = np.arange(start, start + 10 * S, 10_000_000)
+    # The gate notices an end within one of its steps, in which the command changes by 1 N at most.
+    np.testing.assert_allclose(sent.at(times), [gate.command_at(t) for t in times.tolist()], atol=2.0)
+
+
+def test_two_thrusters_that_come_to_rest_together_have_one_knot():
+    """The times differ by a rounding error; a prediction over a stage of no length would not be finite."""
+    sent = SentCommands(PAPER)
+    sent.add(plan_of(0, [[0, 0, 0], [62.5, np.nextafter(62.5, 0.0), 30.0]]))
+    t, thrust = sent.knots
+    np.testing.assert_array_equal(t, [-1, 0, 300_000_000, 600_000_000, 925_000_000])  # at rest before it
+    np.testing.assert_allclose(thrust[-1], 0.0, atol=1e-6)
+
+
+def test_from_a_reported_command_the_plan_is_approached_at_the_slew_limit():
+    """A plan came late, or the controller has just started: the next plan begins at the command in force."""
+    sent = SentCommands(PAPER)
+    sent.add(plan_of(0, np.full((10, 3), 40.0)))
+    sent.correct(1_000_000_000, (10.0, 40.0, 62.5))
+    at = sent.at(np.array([1_000_000_000, 1_200_000_000, 1_300_000_000, 2_000_000_000]))
+    np.testing.assert_allclose(at[:, 0], [10.0, 30.0, 40.0, 40.0], atol=0.02)
+    np.testing.assert_allclose(at[:, 1], 40.0, atol=0.02)
+    np.testing.assert_allclose(at[:, 2], [62.5, 42.5, 40.0, 40.0], atol=0.02)
+
+
+@pytest.mark.parametrize("thruster", range(3))
+def test_one_thruster_with_another_command_is_a_difference(thruster):
+    """Each thruster by itself, between knots; a rounding error is no difference."""
+    sent = SentCommands(PAPER)
+    sent.add(plan_of(0, [[0, 0, 0], [30, -30, 10], [60, -60, 20], [10, 40, -20]]))
+    before = [part.copy() for part in sent.knots]
+    now = sent.at(np.array([750_000_000]))[0]
+    sent.correct(750_000_000, tuple(now + 0.005))
+    np.testing.assert_array_equal(sent.knots[1], before[1])
+    now[thruster] += 1.0
+    sent.correct(750_000_000, tuple(now))
+    np.testing.assert_allclose(sent.at(np.array([750_000_000]))[0], now)
+
+
+def test_without_a_plan_a_reported_command_ramps_to_rest():
+    sent = SentCommands(PAPER)
+    sent.correct(0, (50.0, -50.0, 20.0))
+    at = sent.at(np.array([0, 250_000_000, 500_000_000, S]))
+    np.testing.assert_allclose(at[:, 0], [50.0, 25.0, 0.0, 0.0], atol=0.02)
+    np.testing.assert_allclose(at[:, 1], [-50.0, -25.0, 0.0, 0.0], atol=0.02)

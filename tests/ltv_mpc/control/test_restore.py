@@ -6,10 +6,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc import Controller, Estimate, Plan, PlanOrigin, Vehicle, advance, references
+from ltv_mpc import Controller, Plan, PlanOrigin, Vehicle, references
 from ltv_mpc.control.config import ControllerConfig, Disturbance
 from ltv_mpc.control.controller import SAVE_PERIOD_NS
-from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.messages import (
     Acknowledgement,
     Action,
@@ -19,85 +18,16 @@ from ltv_mpc.messages import (
     CycleTiming,
     DisturbanceState,
     Health,
-    Message,
 )
-from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.safety.plan_gate import PlanGate, PlanVerdict
 from ltv_mpc.validation import rejection_reason
+from tests.ltv_mpc.control.flights import ARM, PERIOD_NS, Flight, S, armed
 
 PAPER = Vehicle.load("paper")
-PERIOD_NS = 300_000_000
-S = 1_000_000_000
 LEARNED = DisturbanceState(
     mean=np.array([0.12, -0.16, 0.1, 0.0, *np.linspace(-0.1, 0.1, 8)]), covariance=1e-4 * (np.eye(12) + 0.1)
 )
 FOLLOWED = (PlanVerdict.ACCEPTED, PlanVerdict.LATE)
-START = Estimate.at_rest(north_m=0.3, heading_rad=0.4, depth_m=2.0)
-
-
-class Flight:
-    """Controller node in a closed loop with the nominal model, without delay."""
-
-    def __init__(self, reference, *, node: ControllerNode | None = None, estimate: Estimate = START) -> None:
-        self.node = node or ControllerNode(PAPER, reference, ControllerConfig())
-        self.reference = reference
-        self.estimate = estimate
-        self.plans: list[Plan] = []
-        self.states: list[ControllerState] = []
-        self.answers: list[Acknowledgement] = []
-        self.messages: list[Message] = []  # all
-        self._sequence = 0
-
-    def arrival(self, signal: Message, t_ns: int) -> ReceivedMessage:
-        self._sequence += 1
-        return ReceivedMessage(signal, 1, self._sequence, t_ns)
-
-    def run(self, t_ns: int, *messages: Message) -> Plan | None:
-        """Run one cycle with these messages alone."""
-        plan = None
-        for signal in self.node.step(t_ns, [self.arrival(message, t_ns) for message in messages]):
-            assert rejection_reason(signal) is None
-            self.messages.append(signal)
-            match signal:
-                case Plan():
-                    plan = signal
-                    self.plans.append(signal)
-                case ControllerState():
-                    self.states.append(signal)
-                case Acknowledgement():
-                    self.answers.append(signal)
-        return plan
-
-    def step(self, *messages: Message) -> Plan:
-        """Run one cycle with the estimate of now, and move the vehicle by it."""
-        self.run(self.estimate.t_ns, *messages, self.estimate)
-        self.estimate = advance(PAPER, self.estimate, self.plans[-1], duration_s=0.3)
-        return self.plans[-1]
-
-    def fly(self, cycles: int) -> Plan:
-        for _ in range(cycles):
-            plan = self.step()
-        return plan
-
-    def handed_over(self, silent_s: float, reference=None) -> tuple[Flight, ControllerState]:
-        """Replace the node ``silent_s`` after its last plan, which the vehicle has followed since."""
-        last = self.plans[-1]
-        estimate = self.estimate
-        if silent_s > 0:
-            estimate = advance(PAPER, estimate, last, duration_s=silent_s)
-        state = msgspec.structs.replace(self.states[-1], plan=last, estimate=self.estimate)
-        node = ControllerNode(PAPER, reference or self.reference, ControllerConfig())
-        return Flight(None, node=node, estimate=estimate), state
-
-
-ARM = Command(command_id=1, action=Action.ARM)
-
-
-def armed(reference, cycles: int) -> Flight:
-    flight = Flight(reference)
-    flight.step(ARM)
-    flight.fly(cycles)
-    return flight
 
 
 @pytest.mark.parametrize("silent_s", [0.0, 1.0, 4.0])
@@ -115,7 +45,7 @@ def test_it_restarts_armed_and_solves_from_the_command_in_force(silent_s):
 
 def test_a_path_continues_from_the_saved_progress():
     reference = references.load("lawnmower")
-    before = armed(reference, 120)
+    before = armed(reference, 60)
     last = before.plans[-1]
     after, state = before.handed_over(1.2)
     plan = after.step(state)
@@ -124,7 +54,7 @@ def test_a_path_continues_from_the_saved_progress():
     assert plan.progress == pytest.approx(undisturbed.progress, abs=0.01)
     assert plan.progress >= last.progress > 0.01
     np.testing.assert_allclose(plan.reference_m, undisturbed.reference_m, atol=0.5)
-    there = after.fly(60)
+    there = after.fly(30)
     assert there.progress > plan.progress
     assert abs(there.cross_track_m) < 0.3
 
@@ -197,7 +127,7 @@ def test_the_model_monitor_s_products_are_restored_and_validated():
 
 def test_the_target_waits_once_the_vehicle_has_come_to_the_end_of_its_plan():
     """A long time later it is where the last plan has ended, at most 5 s after the one in the state."""
-    before = armed(references.load("lawnmower"), 120)
+    before = armed(references.load("lawnmower"), 60)
     state = before.node.controller.save(before.estimate.t_ns)
     ends_s = before.node.controller.config.reach_s + 5.0
 
@@ -250,7 +180,7 @@ def test_what_no_observer_can_have_learned_is_rejected(mean, covariance, why):
 @pytest.mark.parametrize("disarmed_by", [None, Action.DISARM, Action.STOP])
 def test_only_a_restart_lets_the_next_arm_continue_the_reference(disarmed_by):
     """It may even be restarted twice, as long as no operator has disarmed the vehicle."""
-    before = armed(references.load("lawnmower"), 120)
+    before = armed(references.load("lawnmower"), 60)
     after, state = before.handed_over(1.2)
     plan = after.step(msgspec.structs.replace(state, authority=Authority.DISARMED, arm_continues=True))
     assert plan.authority is Authority.DISARMED
@@ -306,31 +236,3 @@ def test_a_plan_of_another_horizon_is_in_force_but_not_shifted():
     plan = after.plan(before.estimate)
     assert plan.origin is PlanOrigin.SOLVED
     np.testing.assert_allclose(plan.thrust_N[0], state.plan.thrust_at(int(plan.t_ns[0])), atol=1e-6)
-
-
-# --- order and age of the inputs -------------------------------------------------------------------------------------
-
-
-def test_estimates_out_of_order_are_ignored_and_counted():
-    flight = armed(references.load("line"), 5)
-    newest = flight.estimate
-    node, t = flight.node, newest.t_ns
-    node.step(t, [ReceivedMessage(newest, 1, 100, t)])
-    old = msgspec.structs.replace(newest, t_ns=t - S, north_m=0.0)
-    for arrival in (
-        ReceivedMessage(old, 1, 101, t),
-        ReceivedMessage(msgspec.structs.replace(newest, t_ns=t + 1), 1, 100, t),
-    ):
-        plan = node.step(t + PERIOD_NS, [arrival])[0]
-        assert plan.estimate_t_ns == t
-    state = node.inputs()[0]
-    assert (state.input, state.rejected, state.alive, state.valid) == ("estimate", 2, True, True)
-
-
-def test_health_follows_the_ages_of_estimate_and_reports():
-    flight = armed(references.load("line"), 60)  # the current is known by then, so the prediction stays certain
-    node, t = flight.node, flight.estimate.t_ns - PERIOD_NS
-    plans = [node.step(t + k * PERIOD_NS, [])[0] for k in range(1, 68)]
-    # the period is 0.3 s, so the limits are 0.9, 10 and 20 s
-    assert [p.health for p in plans] == ["nominal"] * 3 + ["degraded"] * 30 + ["hold"] * 33 + ["failsafe"]
-    assert [p.origin for p in plans] == [PlanOrigin.SOLVED] * 33 + [PlanOrigin.STOP] * 33 + [PlanOrigin.ZERO]

@@ -72,15 +72,6 @@ def test_scales_are_a_speed_and_a_time_whatever_the_units(length: float, time: f
     assert time_ratio(scaled(PAPER, length, time, mass)) == pytest.approx(time, rel=rounding)
 
 
-def test_a_weight_that_is_named_replaces_that_one_alone() -> None:
-    surface = Vehicle.load("surface")
-    config = settled(ControllerConfig(weights=WeightSettings(thrust=0.5), horizon_s=7.2), surface)
-    own = default_weights(surface, slowness=proposed_slowness(surface))
-    assert config.weights == msgspec.structs.replace(own, thrust=0.5)
-    assert config.horizon_s == 7.2
-    assert settled(config, PAPER) is config  # what is settled stays
-
-
 @pytest.mark.parametrize("name", SHIPPED)
 def test_weights_of_the_target_are_bounded_by_a_common_factor(name: str) -> None:
     vehicle = Vehicle.load(name)

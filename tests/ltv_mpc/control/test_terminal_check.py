@@ -13,7 +13,7 @@ from ltv_mpc.control.config import Weights
 from ltv_mpc.control.problem_data import Constants
 from ltv_mpc.control.scaling import characteristic_scales
 from ltv_mpc.control.terminal_check import MAX_TAIL_TIMES, TerminalCheck, check_terminal, closing_speed
-from tests.ltv_mpc.control.flights import at_rest, fly
+from tests.ltv_mpc.control.flights import at_rest, fly, track
 
 PAPER, WEAK = Vehicle.load("paper"), Vehicle.load("weak-reverse")
 STAGE_S = 0.3
@@ -31,7 +31,7 @@ def ends(vehicle: Vehicle, off_m: float, heading: float, flow_mps: float, target
     return check_terminal(X, C, target, numbers(vehicle))
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(8))
 def test_the_closing_speed_is_the_largest_that_the_vehicle_has_the_speed_for(seed):
     rng = np.random.default_rng(seed)
     way, towards, size = rng.uniform((-math.pi, -math.pi, 0.0), (math.pi, math.pi, 0.6))
@@ -84,12 +84,11 @@ def test_a_vehicle_that_is_weak_astern_comes_round_and_holds_its_place():
     assert abs(turned[-1] - turned[0]) < 1.1 * math.pi  # the short way, once
 
 
-@pytest.mark.parametrize(("behind_m", "current_mps"), [(10.0, 0.25)])
-def test_a_vehicle_that_is_weak_astern_turns_at_once_to_a_point_behind_it(behind_m: float, current_mps: float):
+def test_a_vehicle_that_is_weak_astern_turns_at_once_to_a_point_behind_it():
     """Astern it makes 0.09 m/s or nothing, and a plan that turns at its end would put the turn off."""
-    controller = Controller(WEAK, references.Point(north_m=-behind_m, east_m=0.0))
-    way, _ = fly(controller, at_rest(0.0, current_mps), round((30.0 + 2.0 * behind_m) / STAGE_S))
-    north, east = np.array([(estimate.north_m, estimate.east_m) for estimate in way]).T
-    assert np.hypot(north[-1] + behind_m, east[-1]) < 1.0
+    controller = Controller(WEAK, references.Point(north_m=-10.0, east_m=0.0))
+    way, _ = fly(controller, at_rest(0.0, 0.25), round(50.0 / STAGE_S))
+    north, east = track(way).T
+    assert np.hypot(north[-1] + 10.0, east[-1]) < 1.0
     assert np.abs(east).max() < 3.0
-    assert north.min() > -behind_m - 1.0
+    assert north.min() > -11.0

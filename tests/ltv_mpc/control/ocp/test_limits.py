@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import msgspec
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
+from ltv_mpc import Vehicle
 from ltv_mpc.control.config import Weights
 from ltv_mpc.control.linearisation import Linearisation
-from ltv_mpc.control.ocp.limits import MIN_PENALTY, ROWS
+from ltv_mpc.control.ocp.limits import MIN_PENALTY, ROWS, clip_to_limits
 from ltv_mpc.control.ocp.problem import roll_out, row_values
+from ltv_mpc.control.problem_data import Constants
 from ltv_mpc.messages import Array
 from tests.ltv_mpc.control.problems import LIMITS as OF_PAPER
-from tests.ltv_mpc.control.problems import Form
+from tests.ltv_mpc.control.problems import PAPER, Form
 
 N = 3
 KNOTS = np.array([0.0, 1.0, 2.0, 3.7])
@@ -90,3 +96,49 @@ def test_a_start_outside_the_box_is_led_into_it_at_the_slew_limit(lin, target) -
     low, high = (bound[1:, :2] * FULL_N + lin.U[1:] for bound in (p.low, p.high))
     np.testing.assert_allclose(high.T, [[120.0, 90.0, 62.5], [30.0, 30.0, 30.0]])
     np.testing.assert_allclose(low.T, [[-40.0, -40.0, -40.0], [-80.0, -60.0, -50.0]])
+
+
+# --- commands that are sent are inside the limits ---
+
+
+def clipped(commands: Array) -> Array:
+    out = commands.copy()
+    clip_to_limits(out, np.arange(float(len(out))), OF_PAPER.low, OF_PAPER.high, OF_PAPER.max_change)
+    return out
+
+
+@given(arrays(np.float64, (6, 2), elements=st.floats(-500, 500)), arrays(np.float64, 2, elements=st.floats(-80, 80)))
+def test_enforced_commands_obey_slew_exactly_and_the_box_as_soon_as_they_can(commands, start):
+    commands[0] = start
+    out = clipped(commands)
+    np.testing.assert_array_equal(out[0], start)
+    assert (np.abs(np.diff(out, axis=0)) <= 30.0 + 1e-9).all()
+    for k in range(1, 6):
+        low = np.minimum(-62.5, start + 30.0 * k)
+        high = np.maximum(62.5, start - 30.0 * k)
+        assert (out[k] >= low - 1e-9).all()
+        assert (out[k] <= high + 1e-9).all()
+
+
+@given(arrays(np.float64, (6, 2), elements=st.floats(-12, 12)))
+def test_commands_inside_the_limits_are_left_alone(commands):
+    np.testing.assert_array_equal(clipped(commands), commands)
+
+
+def test_every_thruster_has_its_own_limits_and_is_scaled_by_its_larger_side():
+    own = {"port": {"min_N": -20.0, "max_N": 50.0, "slew_N_per_s": 40.0}, "starboard": {"min_N": -60.0, "max_N": 30.0}}
+    thruster = msgspec.to_builtins(PAPER.thruster)
+    changed = {name: values | own.get(name, {}) for name, values in thruster.items()}
+    vehicle = msgspec.convert(msgspec.to_builtins(PAPER) | {"thruster": changed}, Vehicle)
+    limits = Constants.of(vehicle, Weights(), OF_PAPER.t)
+    np.testing.assert_array_equal(limits.low, [-20.0, -60.0])
+    np.testing.assert_array_equal(limits.high, [50.0, 30.0])
+    np.testing.assert_allclose(limits.max_change, [12.0, 30.0])
+    np.testing.assert_array_equal(limits.thrust_scale, [50.0, 60.0])
+
+
+def test_commands_beyond_box_or_slew_become_the_nearest_allowed_ones():
+    """The expected values are worked out by hand: at most 30 N from the knot before, then the box."""
+    wanted = np.array([[0.0, 0.0], [100.0, -10.0], [100.0, -50.0], [100.0, -200.0], [-100.0, 0.0]])
+    allowed = [[0.0, 0.0], [30.0, -10.0], [60.0, -40.0], [62.5, -62.5], [32.5, -32.5]]
+    np.testing.assert_allclose(clipped(wanted), allowed)
