@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -215,11 +216,22 @@ class Run:
         state: EstimatorState | None = None,
     ) -> None:
         self.estimator = estimator or Estimator(sensors, config)
-        first = [] if state is None else [ReceivedMessage(state, 1, 0, state.t_ns)]
         self.steps: list[tuple[Message, list[Message]]] = []
+        self._first = [] if state is None else [ReceivedMessage(state, 1, 0, state.t_ns)]
+        self.feed(messages)
+
+    def feed(self, messages: Iterable[Message]) -> None:
+        """Continue with further messages."""
         for message in messages:
-            self.steps.append((message, self.estimator.step(message.t_ns, [*first, *inbox(message)])))
-            first = []
+            self.steps.append((message, self.estimator.step(message.t_ns, [*self._first, *inbox(message)])))
+            self._first = []
+
+    def continued(self, messages: Iterable[Message]) -> Run:
+        """Return another run that has begun as this one, which is left as it is."""
+        other = copy.copy(self)
+        other.estimator, other.steps = copy.deepcopy(self.estimator), list(self.steps)
+        other.feed(messages)
+        return other
 
     def of(self, kind: type[M]) -> list[M]:
         """Return the output of one type."""
