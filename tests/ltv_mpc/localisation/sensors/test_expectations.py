@@ -1,4 +1,4 @@
-"""Expected measurement of each sensor: the reading of the simulated one, which tests/sim/sensors has by hand."""
+"""Expected measurement of each sensor, against the simulated one, which tests/sim/sensors has by hand; derivatives."""
 
 import math
 
@@ -47,9 +47,11 @@ def linearised(belief, message, *, rate=(0.0, 0.0, 0.0), sensors=SENSORS):
     return sensor.linearise(belief, message, getattr(sensors, sensor.name), Context(sensors, CONFIG.cell_m, rate))
 
 
-@pytest.mark.parametrize("name", [sensor.name for sensor, _ in fitted(NOISELESS)])
-def test_what_a_sensor_without_noise_reads_is_what_is_expected_of_it(name):
-    """In a turn about all axes, in sheared water, with lever arms, mounting and biases; a range is that of a rest."""
+def scene(name):
+    """Return a belief that is right, the reading of a sensor without noise, and the measured angular rate.
+
+    In a turn about all axes, in sheared water, with lever arms, mounting and biases; a range is that of a rest.
+    """
     seed, water_mps = 4, 0.1 * np.random.default_rng(3).standard_normal((71, 2))
     device = SIMULATED[name](
         getattr(NOISELESS, name), Environment(NOISELESS, seed, WaterColumn(np.arange(71.0), water_mps), bottom_m=30.0)
@@ -74,11 +76,35 @@ def test_what_a_sensor_without_noise_reads_is_what_is_expected_of_it(name):
     belief.x[layout.compass_bias] = getattr(device, "bias_rad", 0.0)
     belief.x[layout.sound_speed] = getattr(device, "sound_speed_mps", 1500.0) / 1500.0 - 1.0
     belief.x[GYRO_BIAS] = 0.02, -0.03, 0.01
-    rate = tuple(now.angular_rate_radps + belief.x[GYRO_BIAS])
-    for message in messages[-2:]:
-        seen = linearised(belief, message, rate=rate, sensors=NOISELESS)
-        assert len(seen.rows.residual) > 0
-        np.testing.assert_allclose(seen.rows.residual, 0.0, atol=1e-9)
+    return belief, messages[-1], tuple(now.angular_rate_radps + belief.x[GYRO_BIAS])
+
+
+NAMES = [sensor.name for sensor, _ in fitted(NOISELESS)]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_reading_without_noise_leaves_no_residual(name):
+    belief, message, rate = scene(name)
+    residual = linearised(belief, message, rate=rate, sensors=NOISELESS).rows.residual
+    assert len(residual) > 0
+    np.testing.assert_allclose(residual, 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_partials_are_minus_the_derivatives_of_the_residual(name):
+    """Central differences, 1e-6 relative to the largest of a row; a residual is z - h, so its derivative is -H."""
+    belief, message, rate = scene(name)
+
+    def rows(error):
+        at = belief.copy()
+        at.apply_error(error)
+        return linearised(at, message, rate=rate, sensors=NOISELESS).rows
+
+    size, h = belief.layout.size, 1e-5
+    H = rows(np.zeros(size)).dense(size)
+    difference = np.stack([(rows(-e).residual - rows(e).residual) / (2 * h) for e in h * np.eye(size)], axis=1)
+    scale = np.abs(difference).max(axis=1, keepdims=True)
+    np.testing.assert_allclose(H / scale, difference / scale, atol=1e-6)
 
 
 @pytest.fixture
