@@ -10,7 +10,7 @@ from ltv_mpc.localisation import shadow_filter
 from ltv_mpc.messages import AdcpPing, PressureDepth
 from tests.ltv_mpc.localisation.dives import REALISTIC, Run, S, dive, normalised
 
-DIVE = dive(REALISTIC, 50, duration_s=34.0)
+DIVE = dive(REALISTIC, 59, duration_s=34.0)
 BEGIN_NS = 15 * S
 """Begin of what is wrong in these tests."""
 

@@ -149,7 +149,8 @@ def test_waves_are_detected_and_the_currents_are_then_consistent(inflations):
 
 
 def test_a_step_between_two_cells_is_noticed(inflations):
-    run(with_water(DIVE, lambda _, depth_m: 0.3 * np.clip(depth_m - 24.5, 0.0, 1.0)))
+    of = dive(PAPER, 42, duration_s=END_S)
+    run(with_water(of, lambda _, depth_m: 0.3 * np.clip(depth_m - 24.5, 0.0, 1.0)))
     assert SLOW in {one.level for one in inflations}
 
 
