@@ -32,13 +32,13 @@ TESTS_OF_THE_SENSOR = (
     PROTOCOL
     + """
 from services.reporting.plots.collector import NIS
-from tests.ltv_mpc.localisation.sensors import test_jacobians, test_registry
+from tests.ltv_mpc.localisation.sensors import test_expectations, test_registry
 from tests.services.bus import test_wire
 
 test_registry.test_each_sensor_stands_under_its_name_with_its_settings()
 test_registry.test_each_sensor_has_a_topic_and_a_simulation()
 test_registry.test_the_example_of_a_vehicle_at_rest_leaves_no_residual("speed_log")
-test_jacobians.test_partials_are_minus_the_derivatives_of_the_residual("speed_log")
+test_expectations.test_partials_are_minus_the_derivatives_of_the_residual("speed_log")
 test_wire.test_every_topic_has_an_example_here()
 assert "speed_log" in NIS
 assert "LogSpeed" in protocol_page.page()

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ltv_mpc.control.config import ControllerConfig, Disturbance
+from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.messages import Health, MissionAction, ModelCheck, Plan
 from ltv_mpc.safety.mission_policy import MissionSettings
 from tests.foreign_plant.flight import (
@@ -24,7 +24,7 @@ from tests.foreign_plant.flight import (
     distance_from_outline_m,
     farthest_m,
 )
-from tests.foreign_plant.mavlink_flight import BAD, Faults, MavlinkFlight
+from tests.foreign_plant.mavlink_flight import BAD, MavlinkFlight
 from tests.foreign_plant.plant import STEP_S, Sender
 
 AWAY: dict[str, Any] = {"heading_rad": 1.0, "start_m": (3.0, -2.0)}
@@ -49,20 +49,10 @@ def seconds_of(flight: Flight, health: str) -> float:
 # --- hold and square -------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("reports", [True, False])
-def test_a_point_is_reached_and_held(reports: bool) -> None:
-    flight = Flight(reports=reports, armed=True, **AWAY)
+def test_a_point_is_reached_and_held_without_reports_of_the_actuators() -> None:
+    flight = Flight(reports=False, armed=True, **AWAY)
     flight.fly(40.0)
     assert farthest_m(flight.fly(50.0)) < 0.3
-
-
-def test_without_an_estimate_of_the_current_it_would_hold_its_point_less_well() -> None:
-    off_m = []
-    for disturbance in (Disturbance(), Disturbance(sd_mps=0.0)):
-        flight = Flight(config=ControllerConfig(disturbance=disturbance), armed=True)
-        flight.fly(40.0)
-        off_m.append(farthest_m(flight.fly(20.0)))
-    assert off_m[1] > 2.0 * off_m[0], off_m
 
 
 def test_a_square_is_followed_from_a_hover_with_the_bow_into_the_current() -> None:
@@ -85,23 +75,18 @@ def test_a_square_is_followed_from_a_hover_with_the_bow_into_the_current() -> No
     assert end_s - begin_s < 1.25 * 4 * SIDE_M / SPEED_MPS
 
 
-@pytest.mark.parametrize(
-    ("faults", "hold_m", "square_m", "square_s"),
-    [(Faults(), 0.3, 0.6, 60.0), (BAD, 0.5, 0.8, 110.0)],  # two corners; all
-)
-def test_through_the_edge_to_mavlink_it_holds_and_follows(
-    faults: Faults, hold_m: float, square_m: float, square_s: float
-) -> None:
-    flight = MavlinkFlight(faults=faults, config=ControllerConfig(effort="high"), **AWAY)
+def test_over_a_bad_link_to_an_autopilot_it_holds_and_follows() -> None:
+    """Along two legs of the square."""
+    flight = MavlinkFlight(faults=BAD, config=ControllerConfig(effort="high"), **AWAY)
     flight.fly(5.0)
     flight.arm()
     flight.command(action="arm")
     flight.fly(40.0)
-    assert farthest_m(flight.fly(40.0)) < hold_m
+    assert farthest_m(flight.fly(20.0)) < 0.5
     flight.follow_square()
-    assert distance_from_outline_m(flight.fly(square_s)).max() < square_m
+    assert distance_from_outline_m(flight.fly(60.0)).max() < 0.8
     assert flight.edge.refused == 0
-    assert flight.edge.lost / flight.frames["to edge"] <= 1.1 * faults.lost + 0.001
+    assert flight.edge.lost / flight.frames["to edge"] <= 1.1 * BAD.lost + 0.001
 
 
 def test_the_mission_ends_when_the_operator_is_lost_and_after_a_leak() -> None:
@@ -177,8 +162,7 @@ def test_a_second_source_30_m_away_is_reported_and_not_followed(reports: bool, g
         assert sum("second source on estimate" not in plan.health_why for plan in flight.plans[begin:end]) <= 4
 
 
-@pytest.mark.parametrize("reports", [True, False])
-@pytest.mark.parametrize("behind_s", [0.0, -0.5, -5.0, 60.0])
+@pytest.mark.parametrize(("reports", "behind_s"), [(False, 0.0), (True, -0.5), (False, -5.0), (True, 60.0)])
 def test_a_restarted_source_is_followed_also_with_a_clock_of_its_own(reports: bool, behind_s: float) -> None:
     flight = Flight(reports=reports, armed=True)
     flight.fly(25.0)
@@ -224,15 +208,14 @@ def held(flight: Flight, thrusts_N: list[tuple[float, float]]) -> tuple[float, f
 
 def test_a_declared_antenna_costs_nothing_and_another_is_named(tmp_path: Path) -> None:
     _, centre_N = held(*antenna_flight(tmp_path, (0.0, 0.0), declared=False))
-    for antenna_m in ((0.5, 0.0), (0.0, 0.5)):
-        off_m, mean_N = held(*antenna_flight(tmp_path, antenna_m, declared=True))
-        assert off_m < 0.05
-        assert mean_N < 1.1 * centre_N
-        undeclared, _ = antenna_flight(tmp_path, antenna_m, declared=False, tells_current=True)
-        undeclared.fly(61.0)
-        checks = [check for check in undeclared.outputs if isinstance(check, ModelCheck) and check.alarm]
-        first = next(check for check in checks if "[reference_point]" in check.why)
-        assert first.t_ns - undeclared.plans[0].cycle_t_ns < 60_000_000_000
+    off_m, mean_N = held(*antenna_flight(tmp_path, (0.5, 0.5), declared=True))
+    assert off_m < 0.05
+    assert mean_N < 1.1 * centre_N
+    undeclared, _ = antenna_flight(tmp_path, (0.5, 0.5), declared=False, tells_current=True)
+    undeclared.fly(61.0)
+    checks = [check for check in undeclared.outputs if isinstance(check, ModelCheck) and check.alarm]
+    first = next(check for check in checks if "[reference_point]" in check.why)
+    assert first.t_ns - undeclared.plans[0].cycle_t_ns < 60_000_000_000
 
 
 # --- actuators -------------------------------------------------------------------------------------------------------
@@ -285,15 +268,13 @@ def test_a_weak_thruster_in_the_hold_is_named_and_forgotten_when_it_has_recovere
     assert max(weak_s) < 120.0
 
 
-@pytest.mark.parametrize("current_known", [False, True])
-def test_a_healthy_lap_gives_no_evidence_of_a_loss(current_known: bool) -> None:
+def test_a_healthy_lap_in_a_known_current_gives_no_evidence_of_a_loss() -> None:
     """The vehicle file is a data sheet, so only the yaw moment tells of a loss."""
     flight = Flight(armed=True)
-    if current_known:
-        north_mps, east_mps = CURRENT_MPS
-        current = {"depth_m": [0.0], "north_mps": [north_mps], "east_mps": [east_mps]}
-        estimate = flight.hull.estimate
-        flight.sources = [("estimate", flight.sender, lambda t_ns: {**estimate(t_ns), "current": current})]
+    north_mps, east_mps = CURRENT_MPS
+    current = {"depth_m": [0.0], "north_mps": [north_mps], "east_mps": [east_mps]}
+    estimate = flight.hull.estimate
+    flight.sources = [("estimate", flight.sender, lambda t_ns: {**estimate(t_ns), "current": current})]
     assert max(check.evidence for check in evidence(flight, (1.0, 1.0), 100.0)) < 6.0
 
 
@@ -306,11 +287,10 @@ def test_a_weak_thruster_along_the_square_raises_the_alarm() -> None:
 # --- steps of the craft's clock --------------------------------------------------------------------------------------
 
 STEPS_S = (-86_400.0, -5.0, -0.05, 0.05, 5.0, 86_400.0)
-SMALL_STEPS_S = (-0.2, -0.05, 0.05, 0.2)
-"""Steps that are larger than the error of a short exchange, and smaller than a lateness that can count as a step."""
+"""Those of 0.05 s are larger than the error of a short exchange, and smaller than a lateness that counts as a step."""
 
 
-@pytest.mark.parametrize("step_s", [-86_400.0, *SMALL_STEPS_S, 5.0])
+@pytest.mark.parametrize("step_s", [-86_400.0, -0.05, 0.05, 5.0])
 def test_two_way_a_step_above_the_clock_error_is_certain_and_degrades_for_a_second(step_s: float) -> None:
     flight = Flight(delay_us=20_000, armed=True)  # a longer exchange would not tell a step of 0.05 s
     flight.fly(20.0)
@@ -327,7 +307,7 @@ def test_two_way_a_step_above_the_clock_error_is_certain_and_degrades_for_a_seco
     assert farthest_m(flight.track[1000:]) < 0.3
 
 
-@pytest.mark.parametrize("step_s", [step_s for step_s in SMALL_STEPS_S if step_s < 0.0])
+@pytest.mark.parametrize("step_s", [-0.2, -0.05])
 def test_one_way_a_small_step_backwards_is_followed_and_moves_nothing(step_s: float) -> None:
     """Stamps that are later by a constant could be a slower link; the reported error is null. The offset follows."""
     flight = Flight(reports=False, armed=True)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tests.recorded.pd0_writer import BEAM, INSTRUMENT, Head, Written, to_earth, written
+from tests.recorded.pd0_writer import Head, Written, to_earth, written
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,6 @@ class World:
     fall: float = 0.14
     deepest: float = 41.0
     period: float = 3.7
-    coordinates: int = 3
     adapts: bool = False  # from half of the time on its cells are half as long, and twice as many
 
 
@@ -85,7 +84,7 @@ class _Water:
 def dive(world: World, seed: int, *, duration: float = 420.0) -> Dive:
     """One dive of ``duration`` (s), from its first ensemble afloat."""
     rng = np.random.default_rng(seed)
-    head = Head(coordinates=world.coordinates)
+    head = Head()
     water = _Water(world, rng)
     a = math.radians(head.beam_angle_deg)
     rdi = np.array([[-math.sin(a), 0, -math.cos(a)], [math.sin(a), 0, -math.cos(a)]])
@@ -104,7 +103,7 @@ def dive(world: World, seed: int, *, duration: float = 420.0) -> Dive:
     steps = 4
     while t < duration:
         if world.adapts and t > duration / 2 and head.cell_cm == 200:
-            head = Head(coordinates=world.coordinates, cells=2 * head.cells, cell_cm=100, first_cm=244)
+            head = Head(cells=2 * head.cells, cell_cm=100, first_cm=244)
             d = head.first_cm / 100 + head.cell_cm / 100 * np.arange(head.cells)
             near, shrink = np.repeat(near, 2, axis=0), np.repeat(shrink, 2, axis=0)
         if depth > world.deepest:
@@ -136,10 +135,7 @@ def _ensemble(
     tilted = pitch + world.mounting_deg
     to_enu = to_earth(head, heading, tilted, 3.5)
     enu = rdi @ to_enu.T  # (4, 3)
-    # mapped bins are at one depth in every beam, others at one range
-    below = np.tile(d[:, None], 4)
-    if world.coordinates in (BEAM, INSTRUMENT):
-        below = d[:, None] / math.cos(math.radians(head.beam_angle_deg)) * -enu[:, 2]
+    below = np.tile(d[:, None], 4)  # mapped bins are at one depth in every beam
     c = water.at(depth + below, position[0])  # (cells, 4, 2), north and east
     relative = np.empty((head.cells, 4, 3))
     relative[..., 0] = c[..., 1] - velocity[1]

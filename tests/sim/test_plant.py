@@ -1,6 +1,8 @@
-"""Plant as a node: its reaction to plans, and its messages with their times."""
+"""Plant as a node: its reaction to plans and disturbances, and its messages with their times."""
 
 from __future__ import annotations
+
+import math
 
 import msgspec
 import numpy as np
@@ -8,25 +10,19 @@ import pytest
 
 from ltv_mpc import frames
 from ltv_mpc.array_encoding import to_wire
-from ltv_mpc.messages import Applied, Truth
+from ltv_mpc.messages import Applied, Disturbance, Truth
 from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.vehicle.parameters import Vehicle
 from sim.plant import PERIOD_NS, STEP_NS, Plant
-from sim.scenario import Scenario, with_overrides
+from sim.scenario import Scenario
 from sim.water import make
 from tests.ltv_mpc.plans import plan_of
-from tests.sim.worlds import MS, S
+from tests.sim.worlds import MS, S, plant_of
 from tests.stepping import feed
 
 ENCODE = msgspec.json.Encoder(enc_hook=to_wire).encode
 VEHICLE = Vehicle.load("paper")
 WATER = make(Scenario.load("descent").water, 0)
-
-
-def plant_of(*settings: str) -> Plant:
-    """Return the plant of the paper's descent with assignments as of ``--set``."""
-    scenario = with_overrides(Scenario.load("descent"), list(settings))
-    return Plant(scenario, VEHICLE, make(scenario.water, scenario.run.seed))
 
 
 def arrival(start_ns: int, thrust, *, sequence: int = 0, received_ns: int | None = None) -> ReceivedMessage:
@@ -157,3 +153,61 @@ def test_the_descent_sinks_at_a_fifth_of_a_metre_a_second():
     depth = {x.t_ns / S: x.position_m[2] for x in dive(until_s=40, thrust=[[0, 0, 30], [0, 0, 60], [0, 0, 62.5]])}
     assert depth[20] == pytest.approx(0.2 * (20 - 2), abs=0.2)  # the start costs two seconds of it
     assert depth[40] - depth[20] == pytest.approx(0.2 * 20, abs=0.02)
+
+
+def disturbed(
+    *settings: str, until_ns: int, disturbance: Disturbance | None = None, at_ns: int = 0, thrust=None
+) -> dict[int, Truth]:
+    """Return the truths, by time, of a vehicle at 20 m in still water that ramps to a thrust in 9 s."""
+    inboxes = {}
+    if thrust is not None:
+        inboxes[0] = [arrival(0, np.outer(np.minimum(np.arange(41) * 30.0 / max(thrust), 1.0), thrust))]
+    if disturbance is not None:
+        inboxes[at_ns] = [*inboxes.get(at_ns, []), ReceivedMessage(disturbance, 9, 0, at_ns)]
+    truths, _ = run(plant_of("water.sd_mps=0", "plant.depth_m=20", *settings), until_ns, inboxes)
+    return {x.t_ns: x for x in truths}
+
+
+def test_a_short_push_changes_the_momentum_by_its_impulse():
+    """f dt = M dv along each axis of the body, m dt = I dr; damping of a vehicle at rest is of second order."""
+    push = Disturbance(end_t_ns=S // 10, force_N=(40.0, -30.0, 20.0), yaw_moment_Nm=15.0)
+    heading, M = 0.7, VEHICLE.coefficients()
+    moved, still = (  # without the push it rises by its buoyancy
+        disturbed("plant.heading_rad=0.7", until_ns=S // 10, disturbance=one)[S // 10] for one in (push, None)
+    )
+    ahead = 40.0 * math.cos(heading) - 30.0 * math.sin(heading)
+    to_starboard = -30.0 * math.cos(heading) - 40.0 * math.sin(heading)
+    expected = (0.1 * ahead / M.mass_surge, 0.1 * to_starboard / M.mass_sway, 0.1 * 20.0 / M.mass_heave)
+    gained = np.subtract(moved.water_velocity_mps, still.water_velocity_mps)
+    assert gained.tolist() == pytest.approx(expected, rel=0.03)
+    assert moved.yaw_rate_radps == pytest.approx(0.1 * 15.0 / M.inertia_yaw, rel=0.05)
+
+
+def test_lost_thrust_moves_the_vehicle_as_one_whose_propellers_give_less():
+    """The plant's own factor on thrust, which goes through its integrator, is the other way to the same motion."""
+    lost = Disturbance(end_t_ns=60 * S, thrust_scale=(0.5, 0.6, 0.5))
+    of = {"until_ns": 8 * S, "thrust": (40.0, 25.0, 30.0)}
+    here = disturbed(disturbance=lost, **of)
+    there = disturbed("plant.mismatch.thrust=0.5", "plant.mismatch.starboard_thrust=1.2", **of)
+    for t in (2 * S, 5 * S, 8 * S):
+        np.testing.assert_allclose(here[t].position_m, there[t].position_m, atol=2e-4)
+        np.testing.assert_allclose(here[t].thrust_N, there[t].thrust_N, rtol=1e-2)
+    assert np.linalg.norm(np.subtract(disturbed(**of)[8 * S].position_m, here[8 * S].position_m)) > 0.5
+
+
+def test_a_disturbance_ends_when_it_says_and_leaves_no_bit_changed_before_it_comes():
+    push = Disturbance(end_t_ns=3 * S, force_N=(50.0, 0.0, 0.0))
+    here, there = disturbed(until_ns=6 * S, disturbance=push, at_ns=2 * S), disturbed(until_ns=6 * S)
+    assert all(ENCODE(here[t]) == ENCODE(there[t]) for t in there if t <= 2 * S)
+    speed = {t: here[t].water_velocity_mps[0] for t in here}
+    assert speed[3 * S] > speed[2 * S + STEP_NS] > 0.0
+    assert speed[3 * S + STEP_NS] < speed[3 * S]
+
+
+def test_a_new_disturbance_takes_the_old_ones_place():
+    plant = plant_of("water.sd_mps=0", "plant.depth_m=20")
+    push, nothing = Disturbance(end_t_ns=60 * S, force_N=(50.0, 0.0, 0.0)), Disturbance(end_t_ns=60 * S)
+    inboxes = {0: [ReceivedMessage(push, 9, 0, 0)], S: [ReceivedMessage(nothing, 9, 1, S)]}
+    *_, before, after = run(plant, S + STEP_NS, inboxes)[0]
+    assert before.water_velocity_mps[0] > 0.05
+    assert after.water_velocity_mps[0] <= before.water_velocity_mps[0]

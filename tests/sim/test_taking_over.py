@@ -137,21 +137,6 @@ def test_the_thrusters_change_hands_without_a_jump(before, action, ends):
         assert np.abs(last.thrust_N).max() > 1.0
 
 
-def test_disarmed_from_the_start_it_plans_no_thrust_and_says_so():
-    seen, _ = fly({}, 2.0, arm=False)
-    assert {(plan.authority, plan.origin, plan.why) for plan in seen.plans} == {("disarmed", "zero", "disarmed")}
-    assert not np.any([plan.thrust_N for plan in seen.plans])
-    assert not np.any([x.command_N for x in seen.applied])
-
-
-def test_a_silent_pilot_leaves_the_thrusters_at_zero_and_the_last_plan_ends_there():
-    seen, _ = fly({3.0: MANUAL}, 4.0, stick=(40.0, -40.0, 20.0))
-    last = seen.plans[-1]
-    np.testing.assert_allclose(last.thrust_at(4_300_000_000), (40.0, -40.0, 20.0))
-    assert not last.thrust_at(last.t_ns[-1]).any()
-    assert not last.thrust_at(6_000_000_000).any()
-
-
 def test_a_reference_message_is_followed_and_an_invalid_one_rejected_with_reason():
     there = 'kind = "point"\nnorth_m = 3.0\neast_m = -2.0\n'
     orders = {

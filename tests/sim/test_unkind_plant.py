@@ -12,14 +12,14 @@ from ltv_mpc.array_encoding import to_wire
 from ltv_mpc.messages import Applied, Message, Truth
 from ltv_mpc.node import Inbox, ReceivedMessage
 from ltv_mpc.vehicle.parameters import Vehicle
-from sim.plant import PERIOD_NS, STEP_NS, CommandPath, Plant
+from sim.plant import PERIOD_NS, STEP_NS, CommandPath
 from sim.plant import Wind as WindForce
 from sim.scenario import Actuators, Scenario, Wind, with_overrides
 from sim.water import make
 from tests.ltv_mpc.plans import plan_of
+from tests.sim.worlds import S, plant_of
 from tests.stepping import feed
 
-S = 1_000_000_000
 VEHICLE = Vehicle.load("surface")
 P = VEHICLE.coefficients()
 ENCODE = msgspec.json.Encoder(enc_hook=to_wire).encode
@@ -29,8 +29,7 @@ def fly(
     *settings: str, thrust: tuple[float, float] = (0.0, 0.0), until_s: float = 4.0, period_ns: int = PERIOD_NS
 ) -> list[Message]:
     """Return the messages of a plant in still water that ramps to a thrust in 0.3 s from t = 0 on."""
-    scenario = with_overrides(Scenario.load("descent"), ["water.sd_mps=0", "plant.tilt_rms_rad=0", *settings])
-    plant = Plant(scenario, VEHICLE, make(scenario.water, scenario.run.seed))
+    plant = plant_of("water.sd_mps=0", "plant.tilt_rms_rad=0", *settings, vehicle="surface")
     plan = plan_of(0, [(0.0, 0.0, 0.0), *[(*thrust, 0.0)] * 40], cycle_t_ns=-5)
     inbox: Inbox = [ReceivedMessage(plan, 7, 0, 0)]
     times = range(-S, round(until_s * S) + 1, period_ns)

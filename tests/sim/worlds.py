@@ -14,7 +14,9 @@ from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.messages import Message, Truth
 from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.validation import rejection_reason
-from sim.scenario import Scenario
+from ltv_mpc.vehicle.parameters import Vehicle
+from sim.plant import Plant
+from sim.scenario import Scenario, with_overrides
 from sim.sensors.node import Sensors
 from sim.sensors.vehicle_state import VehicleState
 from sim.water import make
@@ -36,6 +38,12 @@ def truth(t_ns: int = 0, **changes: Any) -> Truth:
 
 def instant(t_ns=0, *, attitude=STILL, position=(1.0, 2.0, 5.0), velocity=STILL, rate=STILL) -> VehicleState:
     return VehicleState(t_ns, position, velocity, frames.rotation(*attitude), np.array(rate), 0.0)
+
+
+def plant_of(*settings: str, vehicle: str = "paper") -> Plant:
+    """Return the plant of a vehicle in the paper's descent, with assignments as of ``--set``."""
+    scenario = with_overrides(Scenario.load("descent"), list(settings))
+    return Plant(scenario, Vehicle.load(vehicle), make(scenario.water, scenario.run.seed))
 
 
 def sensed(suite: SensorConfig, world: Sequence[Truth], scenario: Scenario) -> list[tuple[int, Message]]:

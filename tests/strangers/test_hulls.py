@@ -50,25 +50,6 @@ def test_the_added_mass_of_the_ellipsoid_is_that_of_lambs_table(aspect: float) -
     assert ellipsoid.lamb(aspect) == pytest.approx(LAMB[aspect], abs=1.5e-3)
 
 
-def test_a_long_hull_in_oblique_flow_turns_broadside_and_its_fins_halve_that() -> None:
-    """Munk moment: N = (m_x - m_y) u v, here bow to starboard for a flow from port ahead, until u = 0."""
-    hull = load("ellipsoid")[0]
-    rates = []
-    for fins in (0.0, hull.fin_kgpm):
-        plant = Plant(replace(frictionless(hull), fin_kgpm=fins, fin_m=hull.fin_m))
-        plant.velocity[:2] = 1.0, -0.1
-        rates.append(plant.run(REST, STEP_S)[-1, 5])
-    expected = (hull.M[1, 1] - hull.M[0, 0]) * 0.1 * STEP_S / hull.M[5, 5]
-    assert rates[0] == pytest.approx(expected, rel=0.01)
-    assert 0.3 * rates[0] < rates[1] < 0.7 * rates[0]
-
-    plant = Plant(frictionless(hull))
-    plant.velocity[:2] = 1.0, -0.05
-    track = plant.run(np.zeros((3000, 2)), STEP_S)
-    course = np.arctan2(track[:, 4], track[:, 3])
-    assert np.degrees(np.abs(track[:, 2] - course)).max() > 85.0
-
-
 @pytest.mark.parametrize("name", HULLS)
 def test_a_hull_at_full_thrust_is_as_fast_as_its_data_sheet_says(name: str) -> None:
     hull, vehicle = load(name)
@@ -82,14 +63,6 @@ def test_a_hull_at_full_thrust_is_as_fast_as_its_data_sheet_says(name: str) -> N
     says = vehicle.surge
     drag_N = (says.linear_damping_kgps + says.quadratic_damping_kgpm * speed) * speed
     assert drag_N == pytest.approx(2 * hull.max_N, rel=0.4)
-
-
-def test_the_linear_drag_of_the_catamaran_stops_it_with_its_time_constants() -> None:
-    """Surge: mass over drag, 85.5 kg / 77.5 kg/s. Ahead nothing couples, so the decay is an exponential."""
-    plant = Plant(load("catamaran")[0])
-    plant.velocity[0] = 1.0
-    track = plant.run(np.zeros((100, 2)), STEP_S)
-    assert track[-1, 3] == pytest.approx(math.exp(-1.0 / (85.5 / 77.5)), rel=0.01)
 
 
 @pytest.mark.parametrize("name", SHIPPED)

@@ -50,7 +50,6 @@ def test_late_stamps_are_named_within_45_s_and_then_no_thruster_is_blamed(name, 
     assert not any("lost share" in text or "weak" in text or "looks" in text for text in after)
 
 
-@pytest.mark.parametrize("name", ["light_boat", "paper"])
-def test_estimates_that_arrive_late_with_the_right_stamps_are_not_named(name):
+def test_estimates_that_arrive_late_with_the_right_stamps_are_not_named():
     conditions = Conditions(latency_s=0.5, jitter_s=0.3, current_mps=0.1)
-    assert not any("stamps" in text for _, text in said_of(name, 0.4, conditions, 90.0))
+    assert not any("stamps" in text for _, text in said_of("light_boat", 0.4, conditions, 90.0))

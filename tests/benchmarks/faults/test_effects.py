@@ -2,18 +2,11 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 
 from benchmarks.faults.effects import (
-    FaultySolver,
-    InjectedSolverError,
     Interval,
-    SolverClock,
-    SolverFault,
-    SolverFaultInterval,
 )
 from benchmarks.faults.message_faults import (
     Delivery,
@@ -22,21 +15,14 @@ from benchmarks.faults.message_faults import (
     MessageFaults,
 )
 from benchmarks.faults.sensor_faults import READINGS, Failure, FaultySensors, SensorFault
-from ltv_mpc.control.ocp.problem import Problem
-from ltv_mpc.control.solvers.interface import Result
 from ltv_mpc.messages import (
     CompassHeading,
-    Estimate,
-    ImuSample,
     ImuSamples,
     Message,
     PressureDepth,
-    Solve,
-    SolveStatus,
 )
 from ltv_mpc.node import Grid, Inbox, ReceivedMessage
 from ltv_mpc.validation import rejection_reason
-from tests.stepping import as_sent
 
 MS, S = 1_000_000, 1_000_000_000
 INTERVAL = Interval(S, 2 * S)
@@ -92,40 +78,6 @@ def test_a_message_fault_harms_those_of_its_interval_and_type(
     assert seen(through(message_faults(harm, size, kind=ImuSamples))) == well(range(30))
 
 
-def test_a_share_of_the_messages_is_lost() -> None:
-    way = message_faults(MessageFault.LOSS, 0.5)
-    came = through(way)
-    assert 0 < way.harmed[0] < 10
-    assert len(came) == 30 - way.harmed[0]
-
-
-def test_damage_flips_a_few_bits_of_the_bytes() -> None:
-    for delivery in through(message_faults(MessageFault.CORRUPTION))[10:20]:
-        flipped = sum((a ^ b).bit_count() for a, b in zip(delivery.payload, range(60), strict=True))
-        assert 1 <= flipped <= 8
-
-
-@pytest.mark.parametrize(
-    "signal",
-    [
-        depth(S),
-        Estimate.at_rest(depth_m=3.0),
-        as_sent(
-            ImuSample(t_ns=S, interval_ns=5, angular_rate_radps=(0.1, 0.2, 0.3), specific_force_mps2=(0.0, 0.0, -9.8))
-        ),
-    ],
-)
-def test_what_is_no_number_is_refused_for_it_in_whatever_field(signal: Message) -> None:
-    way, reasons = message_faults(MessageFault.NOT_A_NUMBER, kind=type(signal)), set()
-    for sequence in range(60):
-        (came,) = way.carry("a", "b", ReceivedMessage(signal, 1, sequence, S))
-        reason = rejection_reason(came.message.message)
-        assert "must be from" in reason
-        reasons |= {word for word in map(str, (math.nan, math.inf, -math.inf)) if word in reason}
-    assert reasons == {"nan", "inf", "-inf"}
-    assert rejection_reason(signal) is None
-
-
 class Speaker:
     name = "sensors"
     schedule = Grid(PERIOD_NS)
@@ -174,31 +126,3 @@ def test_garbage_is_anything_within_its_range_and_an_intermittent_sensor_comes_a
     assert 0 < sum(1000 <= t < 2000 for t, *_ in said(Failure.INTERMITTENT, 0.2)) < 10
     for kind, readings in READINGS.items():
         assert all(reading.field in kind.__struct_fields__ for reading in readings)
-
-
-# --- solver and controller -------------------------------------------------------------------------------------------
-
-
-class Good:
-    def solve(self, problem: Problem, shift: float, *, last: bool = True) -> Result:  # noqa: ARG002
-        return GOOD
-
-
-PROBLEM = Problem.empty(1, 1, 1, 0)
-GOOD = Result(np.ones((3, 2)), Solve(status=SolveStatus.SOLVED))
-
-
-@pytest.mark.parametrize(
-    ("fault", "status"), [(SolverFault.FAILS, SolveStatus.FAILED), (SolverFault.LIES, SolveStatus.SOLVED)]
-)
-def test_a_faulty_solver_gives_no_finite_command_in_its_interval(fault: SolverFault, status: SolveStatus) -> None:
-    now = SolverClock()
-    solver = FaultySolver(Good(), [SolverFaultInterval(fault, INTERVAL)], now)
-    for now.t_ns in (S - 1, 2 * S):
-        assert solver.solve(PROBLEM, 0.0) is GOOD
-    now.t_ns = S
-    z, solve = solver.solve(PROBLEM, 0.0)
-    assert np.isnan(z).all()
-    assert solve.status is status
-    with pytest.raises(InjectedSolverError):
-        FaultySolver(Good(), [SolverFaultInterval(SolverFault.RAISES, INTERVAL)], now).solve(PROBLEM, 0.0)

@@ -50,9 +50,7 @@ def test_a_fault_of_the_command_line_is_read_field_by_field():
         ("loss,estimate/gps,3,4", "key: must be estimate: a fault there concerns all of its sources"),
         ("not_a_number,command,3,4", "key: has no field that can be NaN"),
         ("loss,plan,4,4", "end_s: must be > start_s = 4"),
-        ("loss,plan,3,4,1.5", "size: must be > 0 and <= 1"),
         ("delay,plan,3,4,100", "size: must be > 0 and <= 60"),
-        ("loss,plan,3,4,0.5,-1", "seed"),
     ],
 )
 def test_what_cannot_be_done_is_refused_by_field_and_bound(word, said):

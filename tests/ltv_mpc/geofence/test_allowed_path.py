@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.spatial import KDTree, cKDTree
 
@@ -44,9 +44,11 @@ TANGENTS_M = 2.0 * math.sqrt(50.0**2 + 3.0**2 - 5.0**2) + 10.0 * (
 """Shortest way from the path's start to its end round the disc."""
 
 
-def test_a_path_that_is_clear_stays_as_it_is() -> None:
-    schedule = line(0.0, 40.0)
-    assert allowed_path(schedule, Router(ONE, NEED)) == (schedule, 0.0)
+def test_a_path_that_is_clear_or_has_no_allowed_point_near_it_stays_as_it_is() -> None:
+    schedule, wall = line(0.0, 5.0), polygon(np.array([[0.0, 0.0], [0.0, 10.0], [10.0, 10.0], [10.0, 0.0]]))
+    nowhere = Router(pack_zones(Fence(margin_m=0.0, keep_in=(wall,))), np.array([50.0]))
+    for router in (Router(ONE, NEED), nowhere):
+        assert allowed_path(schedule, router) == (schedule, 0.0)
 
 
 class CountingRouter(Router):
@@ -114,7 +116,6 @@ def test_the_target_takes_the_way_round_a_zone_at_the_speed_that_it_has_before_i
     assert np.all(np.diff(table[WAY]) > 0.0)
 
 
-@settings(deadline=None, max_examples=30)
 @given(st.floats(0.005, 0.4), st.floats(0.01, 1.0), st.floats(0.0, 30.0), st.booleans())
 def test_a_detour_is_no_faster_and_sinks_no_faster_than_the_path(
     speed_mps: float, rate_mps: float, depth_m: float, in_place: bool
@@ -148,12 +149,16 @@ def test_a_path_that_begins_or_ends_beside_a_zone_begins_and_ends_there(begins_m
     assert np.hypot(*np.diff(points, axis=0).T).max() <= STEP_M
 
 
-def test_where_no_way_leads_round_a_zone_the_target_jumps() -> None:
+def behind_a_wall(north_m: float) -> Router:
+    """Return the router of a basin that a wall of 4 m, which begins there, divides."""
     basin = polygon(np.array([[-10.0, -10.0], [-10.0, 10.0], [110.0, 10.0], [110.0, -10.0]]))
-    wall = polygon(np.array([[48.0, -12.0], [48.0, 12.0], [52.0, 12.0], [52.0, -12.0]]))
+    wall = polygon(np.array([[north_m + n, e] for n, e in ((0.0, -12.0), (0.0, 12.0), (4.0, 12.0), (4.0, -12.0))]))
+    return Router(pack_zones(Fence(margin_m=0.0, keep_in=(basin,), keep_out=(wall,))), np.ones(2))
+
+
+def test_where_no_way_leads_round_a_zone_the_target_jumps() -> None:
     before = line(0.0, 100.0)
-    zones = pack_zones(Fence(margin_m=0.0, keep_in=(basin,), keep_out=(wall,)))
-    schedule, skipped_m = allowed_path(before, Router(zones, np.ones(2)))
+    schedule, skipped_m = allowed_path(before, behind_a_wall(48.0))
     assert skipped_m == pytest.approx(6.0, abs=0.15)
     table = schedule.table
     k = int(np.argmax(np.diff(table[WAY])))
@@ -164,27 +169,20 @@ def test_where_no_way_leads_round_a_zone_the_target_jumps() -> None:
     assert schedule.duration_s == pytest.approx(before.duration_s - 6.0 / 0.3, abs=1.0)
 
 
-def test_a_path_that_begins_inside_begins_at_the_exit() -> None:
-    schedule, skipped_m = allowed_path(line(50.0, 100.0), Router(ONE, NEED))
-    assert skipped_m == pytest.approx(CHORD_M / 2, abs=0.1)
-    assert schedule.table[TIME, 0] == 0.0
-    assert schedule.table[NORTH, 0] == pytest.approx(50.0 + CHORD_M / 2, abs=0.06)
+def test_a_path_begins_at_the_exit_and_ends_at_the_nearest_allowed_point() -> None:
+    """One that lies inside becomes a point; what is skipped is the distance by which its end is moved."""
+    begins, ends, inside = (allowed_path(line(*of), Router(ONE, NEED)) for of in ((50, 100), (0, 50), (49, 50)))
+    table = begins[0].table
+    assert table[TIME, 0] == 0.0
+    assert table[NORTH, 0] == pytest.approx(50.0 + CHORD_M / 2, abs=0.06)
+    for schedule, _ in (ends, inside):
+        np.testing.assert_allclose(schedule.table[[NORTH, EAST], -1], [50.0, -2.0], atol=1e-4)
+    assert inside[0].duration_s == 0.0
+    assert begins[1] == pytest.approx(CHORD_M / 2, abs=0.1)
+    assert ends[1] == pytest.approx(CHORD_M / 2, abs=0.1)
+    assert inside[1] == pytest.approx(2.0, abs=1e-4)
 
 
-def test_a_path_that_ends_inside_ends_at_the_nearest_allowed_point() -> None:
-    schedule, skipped_m = allowed_path(line(0.0, 50.0), Router(ONE, NEED))
-    np.testing.assert_allclose(schedule.table[[NORTH, EAST], -1], [50.0, -2.0], atol=1e-4)
-    assert skipped_m == pytest.approx(CHORD_M / 2, abs=0.1)
-
-
-def test_a_path_that_lies_inside_becomes_a_point() -> None:
-    schedule, skipped_m = allowed_path(line(49.0, 50.0), Router(ONE, NEED))
-    assert schedule.duration_s == 0.0
-    np.testing.assert_allclose(target_at(schedule.table, 3.0)[1:], [50.0, -2.0], atol=1e-4)
-    assert skipped_m == pytest.approx(2.0, abs=1e-4)  # the distance by which the end is moved
-
-
-@settings(max_examples=60, deadline=None)
 @given(rings(), point)
 def test_the_nearest_allowed_point_is_allowed_and_no_ray_finds_a_nearer_one(
     ring: Array, at: tuple[float, float]
@@ -214,13 +212,6 @@ def test_between_walls_that_are_too_close_the_allowed_point_is_found_too() -> No
     assert math.dist(found, (5.0, 5.1)) < 6.3  # to the east of all walls it is 5.9 m
     nowhere = Fence(margin_m=0.0, keep_in=(polygon(notch),))
     assert nearest_allowed(pack_zones(nowhere), np.array([50.0]), (5.0, 5.1)) is None
-
-
-def test_a_path_without_an_allowed_point_near_it_stays_as_it_is() -> None:
-    wall = np.array([[0.0, 0.0], [0.0, 10.0], [10.0, 10.0], [10.0, 0.0]])
-    nowhere = pack_zones(Fence(margin_m=0.0, keep_in=(polygon(wall),)))
-    schedule = line(0.0, 5.0)
-    assert allowed_path(schedule, Router(nowhere, np.array([50.0]))) == (schedule, 0.0)
 
 
 def test_a_leg_between_two_distant_rows_does_not_step_over_a_zone() -> None:
@@ -271,10 +262,7 @@ def test_a_late_timed_target_is_in_time_again_behind_a_stay_in_a_zone() -> None:
 
 
 def test_where_no_way_leads_round_a_zone_a_timed_target_jumps_and_waits() -> None:
-    basin = polygon(np.array([[-10.0, -10.0], [-10.0, 10.0], [60.0, 10.0], [60.0, -10.0]]))
-    wall = polygon(np.array([[10.0, -12.0], [10.0, 12.0], [14.0, 12.0], [14.0, -12.0]]))
-    zones = pack_zones(Fence(margin_m=0.0, keep_in=(basin,), keep_out=(wall,)))
-    schedule, _ = allowed_path(STAY.schedule(PAPER), Router(zones, np.ones(2)))
+    schedule, _ = allowed_path(STAY.schedule(PAPER), behind_a_wall(10.0))
     assert target_at(schedule.table, 29.0)[1] == pytest.approx(8.7)
     assert target_at(schedule.table, 31.0)[1] == target_at(schedule.table, 100.0)[1] == pytest.approx(15.0, abs=0.3)
     assert schedule.duration_s == 180.0

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import shapely
-from hypothesis import given, settings
+from hypothesis import given
 
 from ltv_mpc import Fence
 from ltv_mpc.errors import ConfigError
@@ -81,11 +81,9 @@ CROSSES = r'keep_in\[0\] "basin": the ring crosses itself: the edge from vertice
 @pytest.mark.parametrize(
     ("right", "wrong", "message"),
     [
-        ("margin_m = 2.0", "margin_m = -2.0", "margin_m = -2.0: must be"),
         ("margin_m = 2.0", "", 'key "margin_m" is missing'),
         ("latitude_deg = 60.3909", "latitude_deg = 95.0", r"keep_out\[0\].vertices\[2\].latitude_deg = 95.0"),
         ("radius_m = 3.0", "radius_m = 0.0", r"keep_out_disc\[0\].radius_m = 0.0: must be"),
-        ("radius_m = 3.0", "radius = 3.0", "radius"),
         ("{ north_m = -50.0,", "{ depth_m = 3.0, north_m = -50.0,", "depth_m is not used"),
         ("latitude_deg = 60.3909", "latitude_deg = 61.0", r"keep_out\[0\]: vertices\[2\]: .*50 km from the origin"),
         ("[origin]\nlatitude_deg = 60.39\nlongitude_deg = 5.32\n", "", r"need an \[origin\]"),
@@ -165,8 +163,6 @@ MANY = [[[5.32 + 0.001 * math.cos(k % 501), 60.39 + 0.001 * math.sin(k % 501)] f
             r"features\[2\].properties.zone = .moat.: must be one of keep_in, keep_out, keep_out_",
         ),
         (feature([], "Polygon"), r"features\[2\].properties.zone"),
-        (feature("keep_in", "Polygon", margin_m=-1.0), r"features\[2\].margin_m = -1.0: must be"),
-        (feature("keep_out_disc", "Point"), r'key "radius_m" in features\[2\] is missing'),
         (feature("keep_in", "Point"), r"features\[2\].geometry.type = .Point.: must be .Polygon. for keep_in"),
         (feature("keep_in", "Polygon", OPEN), r"features\[2\].geometry: is no geometry .*not form a closed"),
         (
@@ -327,7 +323,6 @@ def test_geojson_needs_an_origin(tmp_path: Path) -> None:
         Fence.load(written(tmp_path, metres)).save(str(tmp_path / "fence.geojson"))
 
 
-@settings(max_examples=100, deadline=None)
 @given(rings())
 def test_a_star_is_a_simple_ring_and_two_swapped_vertices_of_five_are_not(ring: Array) -> None:
     assert ring_problem(ring) == ""

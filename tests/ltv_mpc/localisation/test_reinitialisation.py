@@ -7,7 +7,6 @@ import pytest
 from msgspec.structs import replace
 
 from ltv_mpc.frames import rotation
-from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.filter.state import Belief, Layout
 from ltv_mpc.localisation.reinitialisation import (
     ACCELERATION_SD_MPS2,
@@ -17,7 +16,8 @@ from ltv_mpc.localisation.reinitialisation import (
 )
 from ltv_mpc.messages import CompassHeading, FilterStatus, GnssFix, ImuSample, PressureDepth
 from tests.ltv_mpc.localisation.dives import CONFIG as SHIPPED
-from tests.ltv_mpc.localisation.dives import REALISTIC, Run, S, dive, error_of, normalised
+from tests.ltv_mpc.localisation.dives import REALISTIC, S, error_of, normalised
+from tests.ltv_mpc.localisation.test_shadow_filter import BEGIN_NS, DIVE, healthy, returns, run_with
 
 CONFIG = replace(SHIPPED, deepest_m=30.0, kept_m=5.0)
 BAD, GOOD = FilterStatus.INCONSISTENT, FilterStatus.NOMINAL
@@ -123,39 +123,42 @@ def test_without_a_recent_heading_it_waits_for_one():
 @pytest.mark.parametrize("spoil", ["covariance", "position"])
 def test_an_estimator_whose_belief_is_corrupted_continues_at_the_next_estimate(spoil):
     """Not definite, or not a number, just before 20 s: reinitialised at 20 s, and no estimate is missing."""
-    of, estimator = dive(REALISTIC, 50, duration_s=34.0), Estimator(REALISTIC, SHIPPED)
     spoilt_ns, end_ns = 19_960_000_000, 24 * S
-    before = Run((m for m in of.messages if m.t_ns <= spoilt_ns), estimator=estimator)
+    run = healthy().continued(m for m in DIVE.messages if BEGIN_NS < m.t_ns <= spoilt_ns)
+    belief = run.estimator.filter.belief
     if spoil == "covariance":
-        estimator.filter.belief.P[3, 3] = -1.0
+        belief.P[3, 3] = -1.0
     else:
-        estimator.filter.belief.x[0] = math.nan
-    after = Run((m for m in of.messages if spoilt_ns < m.t_ns <= end_ns), estimator=estimator)
-    estimates, reports = before.estimates | after.estimates, before.reports | after.reports
+        belief.x[0] = math.nan
+    run.feed(m for m in DIVE.messages if spoilt_ns < m.t_ns <= end_ns)
+    estimates, reports = run.estimates, run.reports
     assert all(math.isfinite(e.north_m) for e in estimates.values())
     assert list(estimates) == list(range(min(estimates), end_ns + 1, 100_000_000))
     assert reports[19 * S].status is FilterStatus.NOMINAL
     assert [reports[t * S].status for t in (20, 21, 24)] == [FilterStatus.RESTARTED] * 3
     assert reports[end_ns].restarts == 1
-    assert normalised(estimates[end_ns], of, 4) < 18.5  # 99.9 % of chi-square of 4 degrees
-    assert abs(error_of(estimates[end_ns], of)[4]) < 3 * math.radians(2.5)
-    account = estimator.account
+    assert normalised(estimates[end_ns], DIVE, 4) < 18.5  # 99.9 % of chi-square of 4 degrees
+    assert abs(error_of(estimates[end_ns], DIVE)[4]) < 3 * math.radians(2.5)
+    account = run.estimator.account
     assert account["pressure.used"] + account["pressure.gate"] <= 10 * 25 + 1  # none is counted twice
 
 
 def test_known_water_determines_the_velocity_after_a_reinitialisation():
-    """An inertial unit is wrong by 20 mg and 4 deg/s for 5 s; reinitialised ten seconds after that began."""
-    of = dive(REALISTIC, 50, duration_s=34.0)
-    run = Run((wrong_unit(m) for m in of.messages if m.t_ns <= 32 * S), REALISTIC, SHIPPED)
+    """An inertial unit is wrong by 20 mg and 4 deg/s for 5 s; reinitialised ten seconds after that began.
+
+    The filter that was wrong does not take over.
+    """
+    run = run_with(wrong_unit)
     assert {report.restarts for report in run.reports.values()} == {0, 1}
     sd = [run.estimates[t_s * S].covariance[2, 2] ** 0.5 for t_s in (14, 32)]
     assert sd[1] < 2.0 * sd[0]
-    assert abs(error_of(run.estimates[32 * S], of)[2:4]).max() < 3.5 * sd[1]
+    assert abs(error_of(run.estimates[32 * S], DIVE)[2:4]).max() < 3.5 * sd[1]
+    assert not returns(run)
 
 
 def wrong_unit(message):
     """Return the message of an inertial unit that is wrong from 15 to 20 s."""
-    if not isinstance(message, ImuSample) or not 15 * S < message.t_ns <= 20 * S:
+    if not isinstance(message, ImuSample) or message.t_ns > 20 * S:
         return message
     rate = tuple(w + 0.07 for w in message.angular_rate_radps)
     force = tuple(f + 0.2 for f in message.specific_force_mps2)

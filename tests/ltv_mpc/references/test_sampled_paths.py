@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 import shapely
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
@@ -69,10 +69,9 @@ def test_a_circle_of_waypoints_takes_as_long_as_the_circle(radius_m, count):
 @pytest.mark.parametrize(
     ("curve", "count"),
     [
-        *(("circle", 20_000), ("circle", 361), ("figure of eight", 2_000), ("figure of eight", 361)),
-        *(("random curve", 361), ("random curve", 20_000), ("lawnmower", 361), ("lawnmower", 2_000)),
+        *(("circle", 20_000), ("circle", 361), ("figure of eight", 2_000), ("random curve", 361), ("lawnmower", 2_000)),
         *(("circle", 24), ("figure of eight", 24), ("random curve", 24), ("lawnmower", 24)),
-        *(("circle", 36), ("figure of eight", 60), ("random curve", 48), ("lawnmower", 48), ("lawnmower", 90)),
+        *(("figure of eight", 60), ("random curve", 48), ("lawnmower", 90)),
     ],
 )
 def test_lap_time_and_path_do_not_depend_on_noise_and_number_of_points(curve, count):
@@ -129,7 +128,7 @@ def off_circle_m(reference: Reference, radius_m: float) -> float:
     return off
 
 
-@pytest.mark.parametrize(("count", "noise_m"), [(24, 0.0), (361, 0.0), (720, NOISE_M), (20_000, NOISE_M)])
+@pytest.mark.parametrize(("count", "noise_m"), [(24, 0.0), (20_000, NOISE_M)])
 def test_a_circle_of_waypoints_is_flown_as_closely_as_the_circle(count, noise_m):
     circle = off_circle_m(Circle(centre=HERE, radius_m=3.0, speed_mps=2.0), 3.0)
     assert off_circle_m(waypoints(samples(CURVES["circle"], count, noise_m), 2.0), 3.0) < 1.2 * circle
@@ -147,7 +146,6 @@ def test_noise_and_the_steps_of_a_grid_planner_do_not_slow_the_vehicle_down():
     assert note.startswith("the 400 waypoints scatter: the path of 1 legs smooths them and is up to 0.035 m away")
 
 
-@settings(deadline=None, max_examples=50)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 0.01, 0.4]), st.floats(-2.0, 1.0))
 def test_no_waypoint_is_farther_from_the_legs_than_corner_m(seed, corner_m, exponent):
     """Walks at random, whose steps are small features rather than noise."""
@@ -201,24 +199,24 @@ def references_of(length_m: float, speed_mps: float, rate_mps: float) -> list[Re
     ]
 
 
-@settings(deadline=None, max_examples=25)
-@given(lengths, speeds, speeds, st.floats(0.0, 2.0))
-@example(40.0, 0.01, 0.02, 1.0)
-@example(1e5, 0.2, 0.2, 0.0)
-@example(1.0, 0.05, 0.05, 0.0)
-def test_no_reference_is_faster_or_sinks_faster_than_its_speeds(length_m, speed_mps, rate_mps, start_mps):
-    anchor = ReferenceStart(
-        t_ns=0, north_m=0.0, east_m=0.0, depth_m=0.0, heading_rad=1.0, velocity_mps=(start_mps, 0.0)
+anchors = st.floats(0.0, 2.0).map(
+    lambda speed_mps: ReferenceStart(
+        t_ns=0, north_m=0.0, east_m=0.0, depth_m=0.0, heading_rad=1.0, velocity_mps=(speed_mps, 0.0)
     )
-    for vehicle in (PAPER, SURFACE):
-        for reference in references_of(length_m, speed_mps, min(rate_mps, 10.0)):
-            for start in (None, anchor):
-                table = reference.schedule(vehicle, start).table
-                steps = np.diff(table)
-                assert (steps[TIME] >= 0.0).all()
-                if not isinstance(reference, Timed):
-                    assert (steps[WAY] <= speed_mps * steps[TIME] * (1.0 + 1e-6) + 1e-9).all()
-                assert (np.abs(steps[DEPTH]) <= reference.descent_rate_mps * steps[TIME] * (1.0 + 1e-6) + 1e-9).all()
+)
+
+
+@given(lengths, speeds, speeds, st.none() | anchors, st.sampled_from([PAPER, SURFACE]))
+@example(40.0, 0.01, 0.02, None, PAPER)
+@example(1e5, 0.2, 0.2, None, SURFACE)
+@example(1.0, 0.05, 0.05, None, PAPER)
+def test_no_reference_is_faster_or_sinks_faster_than_its_speeds(length_m, speed_mps, rate_mps, start, vehicle):
+    for reference in references_of(length_m, speed_mps, min(rate_mps, 10.0)):
+        steps = np.diff(reference.schedule(vehicle, start).table)
+        assert (steps[TIME] >= 0.0).all()
+        if not isinstance(reference, Timed):
+            assert (steps[WAY] <= speed_mps * steps[TIME] * (1.0 + 1e-6) + 1e-9).all()
+        assert (np.abs(steps[DEPTH]) <= reference.descent_rate_mps * steps[TIME] * (1.0 + 1e-6) + 1e-9).all()
 
 
 def test_doubled_points_are_one_with_a_note():

@@ -1,19 +1,23 @@
-"""Error model of the bound: propagation and measurement rows against independent computations."""
+"""Error model of the bound: propagation and measurement rows against those of the filter, which shares none of them."""
 
 import math
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from ltv_mpc.frames import GRAVITY_MPS2, earth_rate, rotation, rotation_exp
 from ltv_mpc.localisation.config import EstimatorConfig
+from ltv_mpc.localisation.filter.state import Belief, Layout
+from ltv_mpc.localisation.filter.strapdown import imu_noise, integrate
 from ltv_mpc.localisation.sensor_config import SensorConfig
-from ltv_mpc.localisation.sensors.adcp import beam_directions
+from ltv_mpc.localisation.sensors import BY_NAME
+from ltv_mpc.localisation.sensors.sensor import Context
+from ltv_mpc.messages import AdcpPing
 from sim.evaluation.cramer_rao_bound.model import (
     ACCELEROMETER_BIAS,
     ATTITUDE,
     BEAM_BIAS,
+    COMPASS_BIAS,
     GYRO_BIAS,
     MOUNTING,
     MOVING,
@@ -24,52 +28,28 @@ from sim.evaluation.cramer_rao_bound.model import (
     ErrorModel,
     Instant,
 )
-from sim.sensors.adcp import beam_velocities
-from sim.sensors.vehicle_state import VehicleState
-from sim.water.column import WaterSample
 from tests.ltv_mpc.localisation.sensors.every_sensor import with_settings
 
 PAPER, REALISTIC = SensorConfig.load("paper"), SensorConfig.load("realistic")
 
 
-def strapdown(p, v, R, gyro_bias, accelerometer_bias, rate, force, W, dt, steps):
-    """Integrate the navigation equations in NED by small Euler steps from IMU measurements."""
-    h = dt / steps
-    g = np.array([0.0, 0.0, GRAVITY_MPS2])
-    for _ in range(steps):
-        w, f = rate - gyro_bias, force - accelerometer_bias
-        middle = rotation_exp(-W * h / 2) @ R @ rotation_exp(w * h / 2)
-        a = middle @ f + g - 2 * np.cross(W, v)
-        p, v, R = p + h * v + h * h / 2 * a, v + h * a, rotation_exp(-W * h) @ R @ rotation_exp(w * h)
-    return p, v, R
-
-
 @pytest.mark.parametrize(("turning", "tolerance"), [(0.0, 2e-5), (1.0, 3e-3)], ids=["steady", "turning"])
-def test_errors_grow_as_two_integrations_of_the_same_samples_part(turning, tolerance):
-    """Phi by finite differences of the nonlinear equations, Earth rate and biases included.
+def test_errors_grow_as_in_the_filter(turning, tolerance):
+    """Over 200 samples of its strapdown integration, Earth rate and biases included.
 
     A vehicle that turns within the step is taken as one that has its mean attitude throughout: hence the tolerance.
     """
     suite = with_settings(REALISTIC, imu={"gyro_bias_tau_s": 1e9, "accelerometer_bias_tau_s": 1e9})
-    W, dt, steps = earth_rate(suite.latitude_rad), 1 / 3, 200
-    p0, v0, R0 = np.zeros(3), np.array([0.3, -0.2, 0.1]), rotation(0.03, -0.02, 0.8)
-    rate = R0.T @ W + turning * np.array([0.02, -0.01, 0.05])
-    force = R0.T @ np.array([0.2, -0.1, -GRAVITY_MPS2 + 0.05])
-
-    def end(e):
-        """Return the truth if the estimate is the one below and its error is e."""
-        R = rotation_exp(e[ATTITUDE]) @ R0
-        p, v, R = strapdown(p0 + e[:3], v0 + e[3:6], R, e[GYRO_BIAS], e[ACCELEROMETER_BIAS], rate, force, W, dt, steps)
-        return p, v, R
-
-    p, v, R = end(np.zeros(15))
-    Phi, _ = ErrorModel(suite, EstimatorConfig()).growth(Instant(p0, v0, R0), Instant(p, v, R), dt)
-    for j in range(15):
-        e = np.zeros(15)
-        e[j] = 1e-5
-        p2, v2, R2 = end(e)
-        got = np.concatenate([p2 - p, v2 - v, Rotation.from_matrix(R2 @ R.T).as_rotvec()]) / 1e-5
-        np.testing.assert_allclose(Phi[:9, j], got, atol=tolerance, err_msg=str(j))
+    W, dt = earth_rate(suite.latitude_rad), 1 / 3
+    before = Instant(np.zeros(3), np.array([0.3, -0.2, 0.1]), rotation(0.03, -0.02, 0.8))
+    rate = before.R.T @ W + turning * np.array([0.02, -0.01, 0.05])
+    force = before.R.T @ np.array([0.2, -0.1, -GRAVITY_MPS2 + 0.05])
+    x, R, transition, noise = np.zeros(15), before.R.copy(), np.eye(15), np.zeros((15, 15))
+    x[VELOCITY] = before.v
+    for _ in range(200):
+        integrate(x, R, transition, noise, np.concatenate([rate, force]), dt / 200, imu_noise(suite.imu), W)
+    Phi, _ = ErrorModel(suite, EstimatorConfig()).growth(before, Instant(x[POSITION], x[VELOCITY], R), dt)
+    np.testing.assert_allclose(Phi[:9, :15], transition[:9], atol=tolerance)
 
 
 def test_the_noise_of_a_step_is_what_many_small_steps_gather():
@@ -90,77 +70,63 @@ def test_the_noise_of_a_step_is_what_many_small_steps_gather():
     np.testing.assert_allclose(np.diag(Q)[6:9], white, rtol=1e-3)
 
 
-def test_what_a_ping_says_of_each_error_is_the_change_of_the_simulated_beams():
-    """Reference: finite differences of the simulation; beam and range biases from the sensor configuration."""
-    config = EstimatorConfig(deepest_m=20.0)
-    suite = with_settings(REALISTIC, adcp={"mounting_rad": (0.02, -0.03, 0.5), "range_m": 12.0})
-    adcp = suite.adcp
-    rng = np.random.default_rng(1)
-    depths = np.arange(21.0)
-    water = 0.2 * rng.standard_normal((21, 2))
-    p, v, R = np.array([3.0, 4.0, 5.3]), np.array([0.2, -0.3, 0.1]), rotation(0.05, -0.04, 1.0)
-    ranges = adcp.blanking_m + 0.5 + np.arange(11.0)
+def test_what_a_sensor_says_of_each_error_is_what_it_says_to_the_filter():
+    """Rows of both, each divided by its standard deviation. The bound leaves out the turn of a lever arm."""
+    config, lever = EstimatorConfig(deepest_m=20.0), (0.7, -0.4, -1.1)
+    suite = with_settings(
+        REALISTIC,
+        adcp={"mounting_rad": (0.02, -0.03, 0.5), "range_m": 12.0},
+        gnss={"lever_arm_m": lever},
+        pressure={"lever_arm_m": lever},
+    )
+    model, layout = ErrorModel(suite, config), Layout.of(suite, config)
+    water = 0.2 * np.random.default_rng(1).standard_normal((21, 2))
+    now = Instant(np.array([3.0, 4.0, 5.3]), np.array([0.2, -0.3, 0.1]), rotation(0.2, -0.15, 1.0))
+    belief = Belief.blank(layout, 0)
+    belief.x[POSITION], belief.x[VELOCITY], belief.R = now
+    belief.mounting = rotation(*suite.adcp.mounting_rad)
+    belief.x[layout.north], belief.x[layout.east] = water.T
+    states = np.full(layout.size, -1)  # of the model, by those of the filter
+    for of_filter, of_model in (
+        (slice(0, 15), slice(0, 15)),
+        (layout.compass_bias, COMPASS_BIAS),
+        (layout.beam_bias, BEAM_BIAS),
+        (layout.near_bias, NEAR_BIAS),
+        (layout.mounting, MOUNTING),
+        (slice(layout.north.start, layout.east.stop), slice(WATER, model.size)),
+    ):
+        states[of_filter] = range(of_model.start, of_model.stop)
+    beams = np.zeros((4, len(suite.adcp.cell_ranges_m)))
+    ping = AdcpPing(t_ns=0, range_m=suite.adcp.cell_ranges_m, beam_velocity_mps=beams)
+    used = math.sqrt((1 - suite.adcp.missing_share) * (1 - suite.adcp.outlier_share))
+    for name, message, rows, weight in (
+        ("gnss", BY_NAME["gnss"].at_rest(0, suite.gnss), model.gnss(now), 1.0),
+        ("pressure", BY_NAME["pressure"].at_rest(0, suite.pressure), model.pressure(now, 3), math.sqrt(3)),
+        ("compass", BY_NAME["compass"].at_rest(0, suite.compass), model.compass(now), 1.0),
+        ("adcp", ping, model.adcp(now, water), used),
+    ):
+        context = Context(suite, config.cell_m, (0.0, 0.0, 0.0))
+        seen = BY_NAME[name].linearise(belief, message, getattr(suite, name), context).rows
+        expected = np.zeros_like(rows)
+        H = weight * seen.dense(layout.size) / np.sqrt(seen.variance)[:, None]
+        expected[:, states[states >= 0]] = H[:, states >= 0]
+        expected[:, GYRO_BIAS] = 0.0
+        np.testing.assert_allclose(rows, expected, rtol=1e-9, atol=1e-9, err_msg=name)
 
-    def simulated(e):
-        M = rotation_exp(e[MOUNTING]) @ rotation(*adcp.mounting_rad)
-        column = water + np.column_stack([e[WATER : WATER + 21], e[WATER + 21 :]])
-        turned = rotation_exp(e[ATTITUDE]) @ R
-        now = VehicleState(0, tuple(p + e[POSITION]), tuple(v + e[VELOCITY]), turned, np.zeros(3), 0.0)
-        beams = beam_directions(adcp.beam_angle_rad) @ M.T
-        b = beam_velocities(now, adcp.lever_arm_m, beams, ranges, WaterSample(depths, column, column, 0.0))
-        biases = e[BEAM_BIAS][:, None] + e[NEAR_BIAS][:, None] * np.exp(-ranges / adcp.near_bias_length_m)
-        return (b + biases).ravel()
 
-    model = ErrorModel(suite, config)
-    rows = model.adcp(Instant(p, v, R), water)
-    rows *= adcp.beam_noise_sd_mps / math.sqrt((1 - adcp.missing_share) * (1 - adcp.outlier_share))
-    h = 1e-6
-    for j in range(model.size):
-        e = np.zeros(model.size)
-        e[j] = h
-        got = (simulated(e) - simulated(-e)) / (2 * h)
-        np.testing.assert_allclose(rows[:, j], got, atol=1e-7, err_msg=str(j))
+def test_levelling_says_what_the_assumed_attitude_makes_of_the_force_at_rest():
+    """Reference: finite differences; the force is that of a vehicle at rest, bias included, and 0 if all is right."""
+    config, R, g = EstimatorConfig(deepest_m=7.0), rotation(0.2, -0.15, 1.0), np.array([0.0, 0.0, GRAVITY_MPS2])
+    white = REALISTIC.imu.velocity_random_walk_mps_per_rts**2 / 0.2
+    sd = math.sqrt(white + config.afloat_acceleration_sd_mps2**2)
 
-
-def test_what_other_sensors_say_of_each_error_is_the_change_of_what_they_measure():
-    """Reference: finite differences of antenna, gauge, heading with bias, and levelling."""
-    lever = (0.7, -0.4, -1.1)
-    suite = with_settings(REALISTIC, gnss={"lever_arm_m": lever}, pressure={"lever_arm_m": lever})
-    config = EstimatorConfig(deepest_m=7.0)
-    model = ErrorModel(suite, config)
-    p, v, R = np.array([3.0, 4.0, 5.0]), np.array([0.2, -0.3, 0.1]), rotation(0.2, -0.15, 1.0)
-    g = np.array([0.0, 0.0, GRAVITY_MPS2])
-
-    def measured(e):
+    def level(e):
         true = rotation_exp(e[ATTITUDE]) @ R
-        place = p + e[POSITION] + true @ lever
-        # what the assumed attitude makes of the force that a vehicle at rest feels, bias included; 0 if all is right
-        level = -(R @ (true.T @ -g + e[ACCELEROMETER_BIAS]))
-        return {
-            "gnss": [*place[:2], *(v + e[VELOCITY])[:2]],
-            "pressure": [place[2]],
-            "compass": [math.atan2(true[1, 0], true[0, 0]) + e[15]],
-            "levelling": level[:2],
-        }
+        return -(R @ (true.T @ -g + e[ACCELEROMETER_BIAS]))[:2]
 
-    now = Instant(p, v, R)
-    white = suite.imu.velocity_random_walk_mps_per_rts**2 / 0.2
-    sd = {
-        "gnss": np.repeat([suite.gnss.position_sd_m, suite.gnss.velocity_sd_mps], 2),
-        "pressure": suite.pressure.depth_sd_m / math.sqrt(3),
-        "compass": suite.compass.heading_sd_rad,
-        "levelling": math.sqrt(white + config.afloat_acceleration_sd_mps2**2),
-    }
-    rows = {"gnss": model.gnss(now), "pressure": model.pressure(now, 3)}
-    rows |= {"compass": model.compass(now), "levelling": model.levelling(now)}
-    h = 1e-6
-    for j in range(MOVING):
-        e = np.zeros(model.size)
-        e[j] = h
-        up, down = measured(e), measured(-e)
-        for name, row in rows.items():
-            got = (np.array(up[name]) - np.array(down[name])) / (2 * h) / sd[name]
-            np.testing.assert_allclose(row[:, j], got, rtol=1e-6, atol=1e-6, err_msg=f"{name} {j}")
+    row = ErrorModel(REALISTIC, config).levelling(Instant(np.zeros(3), np.zeros(3), R))
+    for j, e in enumerate(1e-6 * np.eye(MOVING)):
+        np.testing.assert_allclose(row[:, j], (level(e) - level(-e)) / 2e-6 / sd, rtol=1e-6, atol=1e-6)
 
 
 def test_biases_fade_and_are_drawn_anew_so_that_their_deviation_stays():

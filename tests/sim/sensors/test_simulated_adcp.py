@@ -10,9 +10,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ltv_mpc.localisation.sensor_config import SensorConfig
-from sim.scenario import Water
 from sim.sensors.adcp import Instrument, Profiler
-from sim.water import WaterColumn, make
+from sim.water import WaterColumn
 from tests.sim.worlds import AXES, C20, S20, check_share, check_white, instant
 
 PAPER, REALISTIC = SensorConfig.load("paper").adcp, SensorConfig.load("realistic").adcp
@@ -147,13 +146,3 @@ def test_cells_beyond_the_altitude_are_lost_in_the_side_lobes_echo_off_the_bed(b
     now = instant(position=(0.0, 0.0, depth), attitude=(0.0, pitch, 0.0))
     heard = ~np.isnan(beams(exact(lever_arm_m=(0.5, 0.0, 0.3)), now, bottom_m=bottom_m))
     np.testing.assert_array_equal(heard, np.tile(np.arange(14) + 0.9 <= altitude, (4, 1)))
-
-
-def test_a_cells_mean_differs_from_its_centre_by_at_most_the_stated_share():
-    spread = []
-    for seed in range(20):
-        water = make(Water(), seed)
-        for depth in np.arange(1.0, 60.0, 0.37):
-            cell = water.over(depth + np.linspace(-0.5, 0.5, 101), 0).mean(axis=0)
-            spread.append(cell - water.at(depth, 0))
-    assert np.std(spread) < 0.09 * 0.04

@@ -99,9 +99,8 @@ def unit_record(imu, seed: int, samples: int) -> np.ndarray:
 ARW, VRW = math.radians(0.125) / 60.0, 3.3e-4
 
 
-@pytest.mark.parametrize("name", ["paper", "realistic"])
-def test_noise_is_the_random_walk_over_the_root_of_the_interval_and_biases_have_the_tables_size(name):
-    imu = SensorConfig.load(name).imu
+def test_noise_is_the_random_walk_over_the_root_of_the_interval_and_biases_have_the_tables_size():
+    imu = SensorConfig.load("realistic").imu
     sizes = np.repeat([ARW, VRW], 3)
     rows = unit_record(imu, 5, 20_000) / (sizes / math.sqrt(0.01))
     check_white(np.diff(rows, axis=0)[::2] / math.sqrt(2.0), 1.0)  # the bias hardly moves in 10 ms

@@ -16,23 +16,20 @@ from sim.sensors.tdcp import CarrierPhaseReceiver
 from tests.sim.worlds import S, check_white, instant
 
 PAPER, REALISTIC = SensorConfig.load("paper"), SensorConfig.load("realistic")
-both_suites = pytest.mark.parametrize("suite", [PAPER, REALISTIC], ids=lambda s: s.name)
 COUNT = 6000
 TILT = (0.03, -0.05)
 
 
-@both_suites
-def test_satellite_fixes_are_off_by_the_tables_standard_deviations(suite):
-    receiver = GnssReceiver(suite.gnss, 3)
+def test_satellite_fixes_are_off_by_the_tables_standard_deviations():
+    receiver = GnssReceiver(REALISTIC.gnss, 3)
     at = {"position": (3.0, -4.0, 0.0), "velocity": (0.1, -0.2, 0.0)}
     fixes = [receiver.sample(instant(-k * S, **at))[0] for k in range(COUNT)]
     check_white([(f.north_m - 3.0, f.east_m + 4.0) for f in fixes], 5.0)
     check_white([(f.velocity_north_mps - 0.1, f.velocity_east_mps + 0.2) for f in fixes], 0.02)
 
 
-@both_suites
-def test_carrier_phase_is_the_displacement_since_the_last_epoch(suite):
-    phase = CarrierPhaseReceiver(suite.tdcp, 3)
+def test_carrier_phase_is_the_displacement_since_the_last_epoch():
+    phase = CarrierPhaseReceiver(REALISTIC.tdcp, 3)
     said = [phase.sample(instant((k - COUNT) * S, position=(0.3 * k, -0.2 * k, 0.0))) for k in range(COUNT + 1)]
     assert said[0] == []
     fixes = [fix for (fix,) in said[1:]]
@@ -71,9 +68,8 @@ def test_a_gauge_in_the_tail_is_deeper_when_the_nose_is_up():
     assert depth.depth_m == pytest.approx(12.0 + 0.8 * math.sin(0.2) + 0.1 * math.cos(0.2), abs=1e-9)
 
 
-@both_suites
-def test_depth_from_pressure_is_off_by_a_centimetre(suite):
-    gauge = PressureGauge(suite.pressure, 3)
+def test_depth_from_pressure_is_off_by_a_centimetre():
+    gauge = PressureGauge(REALISTIC.pressure, 3)
     now = [instant(k, position=(0.0, 0.0, 12.0), attitude=(*TILT, 0.0)) for k in range(COUNT)]
     check_white([gauge.sample(x)[0].depth_m - 12.0 for x in now], 0.01)
 

@@ -1,4 +1,4 @@
-"""Error-state filter on linear problems, against a batch least-squares solution over all unknowns."""
+"""Error-state filter: propagation of its covariance, and the outcomes of measurements; test_batch.py has the whole."""
 
 import math
 
@@ -11,91 +11,15 @@ from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter
 from ltv_mpc.localisation.filter.state import Belief, Layout
 from ltv_mpc.localisation.sensor_config import SensorConfig
-from ltv_mpc.localisation.sensors.adcp import beam_directions
-from ltv_mpc.localisation.water.current_model import node_prior
 from ltv_mpc.messages import AdcpPing, CompassHeading, ImuSample, PressureDepth, TdcpFix
-from tests.ltv_mpc.localisation.sensors.every_sensor import with_settings
 
 PAPER = SensorConfig.load("paper")
-DT = 0.01
 DT_NS = 10_000_000
 CONFIG = msgspec.structs.replace(EstimatorConfig(), deepest_m=12.0, gate_probability=1.0)  # every innovation passes
-CELLS = 13
 
 
 def sample(k, force=(0.0, 0.0, -9.80665), rate=(0.0, 0.0, 0.0)):
     return ImuSample(t_ns=k * DT_NS, interval_ns=DT_NS, angular_rate_radps=rate, specific_force_mps2=force)
-
-
-def batch(unknowns, rows, right, sd):
-    """Return the least-squares solution of whitened rows and its covariance."""
-    A = np.array(rows) / np.array(sd)[:, None]
-    solution = np.linalg.lstsq(A, np.array(right) / np.array(sd), rcond=None)[0]
-    assert A.shape[1] == unknowns
-    return solution, np.linalg.inv(A.T @ A)
-
-
-def test_profiles_of_water_are_weighted_as_least_squares_does():
-    """Level, depth and attitude known, sinking through cells that walk in time.
-
-    Unknowns: velocity north and east, each beam's bias, the cells at the start and each of their steps.
-    """
-    walk = 0.02
-    config = msgspec.structs.replace(CONFIG, current_change_mps_per_rts=walk, adapts_to_water=False)
-    errors = "gyro_bias_sd_radps", "angle_random_walk_rad_per_rts", "velocity_random_walk_mps_per_rts"
-    perfect = dict.fromkeys((*errors, "accelerometer_bias_sd_mps2"), 0.0)
-    suite = with_settings(PAPER, imu=perfect, adcp={"beam_bias_sd_mps": 0.03})
-    layout = Layout.of(suite, config)
-    belief = Belief.blank(layout, 0)
-    sd_v, sinking = 0.3, 0.5
-    belief.P[3, 3] = belief.P[4, 4] = sd_v**2
-    belief.x[5] = sinking
-    belief.P[layout.beam_bias, layout.beam_bias] = 0.03**2 * np.eye(4)
-    prior = node_prior(config).covariance(slice(None))
-    for axis in (layout.north, layout.east):
-        belief.P[axis, axis] = prior
-    filter_ = ErrorStateFilter(suite, config, belief)
-
-    rng = np.random.default_rng(1)
-    pings, between = 8, 25
-    unknowns = 2 + 4 + 2 * CELLS * (1 + pings)
-    eye = np.eye(unknowns)
-    rows, right, sds = [*eye[:2], *eye[2:6]], [0.0] * 6, [sd_v] * 2 + [0.03] * 4
-    white = np.linalg.inv(np.linalg.cholesky(prior))
-    for axis in range(2):
-        first = 6 + axis * CELLS
-        rows += list(white @ eye[first : first + CELLS])
-        right += [0.0] * CELLS
-        sds += [1.0] * CELLS
-    cells = eye[6 : 6 + 2 * CELLS].copy()
-    beams, ranges = beam_directions(math.radians(20)), np.arange(1.0, 6.0)
-    for i in range(pings):
-        for k in range(i * between + 1, (i + 1) * between + 1):
-            filter_.advance(k * DT_NS, sample(k))
-        steps = eye[6 + 2 * CELLS * (1 + i) : 6 + 2 * CELLS * (2 + i)]
-        cells = cells + steps
-        rows += list(steps)
-        right += [0.0] * len(steps)
-        sds += [walk * math.sqrt(between * DT)] * len(steps)
-        z = 0.3 * rng.standard_normal((4, 5))
-        filter_.correct(AdcpPing(t_ns=(i + 1) * between * DT_NS, range_m=ranges, beam_velocity_mps=z))
-        depth = sinking * (i + 1) * between * DT
-        for beam in range(4):
-            for j, r in enumerate(ranges):
-                at = depth + r * beams[beam, 2]
-                k, t = int(at), at - int(at)
-                row = eye[2 + beam].copy()
-                for axis in range(2):
-                    water = (1 - t) * cells[axis * CELLS + k] + t * cells[axis * CELLS + k + 1]
-                    row += beams[beam, axis] * (water - eye[axis])
-                rows.append(row)
-                right.append(z[beam, j] + beams[beam, 2] * sinking)
-                sds.append(suite.adcp.beam_noise_sd_mps)
-    solution, covariance = batch(unknowns, rows, right, sds)
-    T = np.concatenate([eye[:2], eye[2:6], cells])
-    at = [3, 4, *range(layout.beam_bias.start, layout.beam_bias.stop), *range(layout.north.start, layout.east.stop)]
-    np.testing.assert_allclose(filter_.belief.x[at], T @ solution, rtol=1e-8, atol=1e-10)
-    np.testing.assert_allclose(filter_.belief.P[np.ix_(at, at)], T @ covariance @ T.T, rtol=1e-8, atol=1e-12)
 
 
 def full_belief(suite, config, seed=0):
@@ -119,7 +43,10 @@ def test_propagating_the_covariance_once_equals_doing_it_at_every_sample():
         always.advance(k * DT_NS, imu)
         always.propagate_covariance()
     np.testing.assert_allclose(once.core_covariance(), always.belief.P[:15, :15], rtol=1e-10, atol=1e-16)
+    before = np.diag(once.belief.P).copy()
     once.propagate_covariance()
+    water = slice(once.belief.layout.north.start, once.belief.layout.east.stop)
+    np.testing.assert_allclose((np.diag(once.belief.P) - before)[water], 0.01**2 * 0.33)  # the walk of the water
     np.testing.assert_allclose(once.belief.P, always.belief.P, rtol=1e-9, atol=1e-15)
     np.testing.assert_allclose(once.belief.x, always.belief.x, rtol=1e-13)
     np.testing.assert_array_equal(once.belief.P, once.belief.P.T)
