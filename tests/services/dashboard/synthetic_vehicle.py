@@ -191,16 +191,22 @@ def serving(feed: BusFeed, bus: BusOptions) -> Iterator[Served]:
 
 
 @contextmanager
-def served(router_port: int) -> Iterator[Served]:
-    """Run router, vehicle and page in this process, each with its own session."""
+def sessions(router_port: int) -> Iterator[tuple[Session, Session, BusOptions]]:
+    """Run a router and two sessions in this process; yield these, aboard and ashore, and the options of another one."""
     endpoint = f"tcp/127.0.0.1:{router_port}"
-    reached = BusOptions(connect=(endpoint,), namespace="synthetic")
+    reached = BusOptions(connect=(endpoint,))
 
     def opened(options: BusOptions) -> Session:
         return open_session(options, stop=lambda: False, say=lambda _: None)
 
-    router = BusOptions(listen=(endpoint,), namespace="synthetic")
-    with opened(router), opened(reached) as aboard, opened(reached) as ashore:
+    with opened(BusOptions(listen=(endpoint,))), opened(reached) as aboard, opened(reached) as ashore:
+        yield aboard, ashore, reached
+
+
+@contextmanager
+def served(router_port: int) -> Iterator[Served]:
+    """Run router, vehicle and page in this process, each with its own session."""
+    with sessions(router_port) as (aboard, ashore, reached):
         feed = BusFeed(ashore, vehicle_of({"config/vehicle.toml": synthetic_run.VEHICLE}))
         with serving(feed, reached) as shown, closing(SyntheticVehicle(aboard)) as shown.vehicle:
             yield shown
