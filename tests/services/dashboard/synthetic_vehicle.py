@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import uvicorn
+from msgspec.structs import replace
 
 from ltv_mpc.messages import (
     Acknowledgement,
@@ -80,10 +81,10 @@ class SyntheticVehicle:
 
     def announce(self, *, vehicle_ns: int, state: ClockState, speed: float) -> None:
         num, den = fraction_of(speed).as_integer_ratio()
-        self._clock = Clock(
+        self._clock = replace(
+            self._clock,
             clock_epoch=self.clock_epoch,
             clock_sequence=self._clock.clock_sequence + 1,
-            host_boot_id=self._clock.host_boot_id,
             at_monotonic_us=monotonic_us(),
             vehicle_ns=vehicle_ns,
             speed_num=num,

@@ -19,7 +19,7 @@ from ltv_mpc.geofence.fence import Fence
 from ltv_mpc.messages import Action, Applied, Command, Estimate, Health
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.edges.edge import Outgoing, Received, Refused
-from services.edges.mavlink.actuation import Overrides, channels, pwm_us
+from services.edges.mavlink.actuation import channels, pwm_us
 from services.edges.mavlink.autopilot import Kind
 from services.edges.mavlink.codec import frames_of
 from services.edges.mavlink.edge import MavlinkEdge, Settings
@@ -212,15 +212,6 @@ def test_what_acts_is_the_command_of_the_override_and_zero_once_it_is_released()
     (released, *_) = edge.release(now_us + 1_510_000)
     assert isinstance(released, Applied)
     assert (released.command_N, released.why) == ((0.0, 0.0, 0.0), "the edge has stopped")
-
-
-def test_while_disarmed_nothing_but_the_release_is_sent() -> None:
-    overrides = Overrides(vehicle())
-    thrust = np.ones(3)
-    assert overrides.step(Kind.ROVER, thrust, False, 0) is None
-    assert overrides.step(Kind.ROVER, thrust, True, 0) is not None
-    row = overrides.step(Kind.ROVER, thrust, False, 40_000)
-    assert row == [0, 65535, 0, 65535, 65535, 65535, 65535, 65535]
 
 
 def test_an_autopilot_that_is_not_ardupilot_is_refused() -> None:
@@ -442,15 +433,3 @@ def test_a_datagram_of_several_frames_of_both_versions_is_read_frame_by_frame() 
     edge = MavlinkEdge(1, Settings(vehicle=vehicle()), codec(255, 191))
     edge.receive(Received("", one + two + b"rest", b"", 0))
     assert (edge.accepted, edge.refused) == (2, 1)
-
-
-def test_on_a_signed_link_unsigned_and_repeated_frames_are_refused() -> None:
-    flight = MavlinkFlight(key=KEY)
-    flight.fly(3.0)
-    signed = codec(7, 1, KEY)
-    frame = signed.encode(signed.make.heartbeat_encode(6, 8, 0, 0, 4))
-    others = [one.encode(attitude(1, 0.0)) for one in (codec(), codec(key=bytes(32)))]
-    for one in (*others, frame, frame):  # the second one is a replay
-        flight.edge.receive(Received("", one, b"", flight.host_us))
-    assert flight.edge.refused == 3
-    assert "signature" in flight.edge.reason

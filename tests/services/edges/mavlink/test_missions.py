@@ -19,7 +19,7 @@ from ltv_mpc.references.mission_items import DRIVEN
 from services.edges.edge import Outgoing, Received
 from services.edges.mavlink.lists import Mission, mission_of
 from services.edges.mavlink.mission import MissionFollower, Progress
-from tests.foreign_plant.mavlink_flight import BAD, MavlinkFlight
+from tests.foreign_plant.mavlink_flight import MavlinkFlight
 from tests.services.edges.mavlink.items import ORIGIN, codec, item
 from tests.services.edges.plans import plan
 
@@ -256,18 +256,6 @@ def test_a_late_reply_to_the_mission_before_is_none_to_the_new_one() -> None:
 
 
 PLACES = (HOME, item(1, 16, north_m=10.0), item(2, 16, north_m=10.0, east_m=7.0))
-
-
-def test_a_changed_mission_is_followed_once_on_a_bad_link() -> None:
-    flight = MavlinkFlight(faults=BAD)
-    flight.fly(3.0)
-    flight.autopilot.lists[0] = list(PLACES)
-    flight.fly(60.0)
-    (command,) = followed(flight)
-    assert "latitude_deg = 50.20008" in command.reference_toml
-    flight.autopilot.lists[0] = list(PLACES[:2])
-    flight.fly(60.0)
-    assert len(followed(flight)) == 2
 
 
 def test_the_same_mission_sent_again_begins_again_and_clearing_it_holds() -> None:

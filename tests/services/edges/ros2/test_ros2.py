@@ -106,9 +106,7 @@ finite = st.floats(-100, 100)
 
 
 @given(st.tuples(finite, finite, finite), st.floats(-math.pi, math.pi), st.tuples(finite, finite, finite), finite)
-def test_there_and_back_again_is_where_it_began(
-    position: tuple[float, ...], yaw: float, linear: tuple[float, ...], yaw_rate: float
-) -> None:
+def test_there_and_back_again_is_where_it_began(position, yaw, linear, yaw_rate) -> None:
     """Level; the way back is written down from the picture, not from the code."""
     read = estimate(position=position, yaw=yaw, linear=linear, angular=(0.0, 0.0, yaw_rate))
     assert read.depth_m is not None
@@ -149,6 +147,16 @@ def test_the_covariance_is_that_of_samples_drawn_from_the_messages_own() -> None
     np.testing.assert_allclose(
         (claimed / scale)[np.ix_(level, level)], (found / scale)[np.ix_(level, level)], atol=0.08
     )
+
+
+def test_of_a_level_vehicle_heading_and_velocity_err_together() -> None:
+    """It goes east at 2 m/s: a heading that is wrong by d to starboard has it go 2 d to the south."""
+    pose = np.zeros((6, 6))
+    pose[0, 0], pose[5, 5] = 1e-9, 0.01
+    covariance = estimate(linear=(2.0, 0.0, 0.0), pose_covariance=pose).covariance
+    expected = np.diag([0.0, 1e-9, 0.0, 0.0, 0.0, 0.0])
+    expected[4, 4], expected[2, 2], expected[2, 4], expected[4, 2] = 0.01, 0.04, -0.02, -0.02
+    np.testing.assert_allclose(covariance, expected, atol=1e-12)
 
 
 @pytest.mark.parametrize("first", [0.0, -1.0, 1e6, math.inf])
