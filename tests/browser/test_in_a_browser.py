@@ -106,9 +106,7 @@ def saved(page: Any, menu: Any, kind: str) -> bytes:
     return Path(download.value.path()).read_bytes()
 
 
-def test_every_plot_of_a_report_is_saved_as_csv_and_some_as_png_or_svg(
-    browser: Any, reports: tuple[Path, Path]
-) -> None:
+def test_every_plot_of_a_report_is_saved_as_csv_and_some_as_png_or_svg(browser, reports) -> None:
     """A CSV has a column with a name of its own for each edge of a band, and as many cells in each row."""
     with tab(browser, SCREEN, own=reports[0].as_uri()) as page:
         page.goto(reports[0].as_uri())

@@ -19,7 +19,7 @@ from ltv_mpc.geofence.fence import Fence
 from ltv_mpc.messages import Action, Applied, Command, Estimate, Health
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.edges.edge import Outgoing, Received, Refused
-from services.edges.mavlink.actuation import channels, pwm_us
+from services.edges.mavlink.actuation import Overrides, channels, pwm_us
 from services.edges.mavlink.autopilot import Kind
 from services.edges.mavlink.codec import frames_of
 from services.edges.mavlink.edge import MavlinkEdge, Settings
@@ -212,6 +212,15 @@ def test_what_acts_is_the_command_of_the_override_and_zero_once_it_is_released()
     (released, *_) = edge.release(now_us + 1_510_000)
     assert isinstance(released, Applied)
     assert (released.command_N, released.why) == ((0.0, 0.0, 0.0), "the edge has stopped")
+
+
+def test_while_disarmed_nothing_but_the_release_is_sent() -> None:
+    overrides = Overrides(vehicle())
+    thrust = np.ones(3)
+    assert overrides.step(Kind.ROVER, thrust, False, 0) is None
+    assert overrides.step(Kind.ROVER, thrust, True, 0) is not None
+    row = overrides.step(Kind.ROVER, thrust, False, 40_000)
+    assert row == [0, 65535, 0, 65535, 65535, 65535, 65535, 65535]
 
 
 def test_an_autopilot_that_is_not_ardupilot_is_refused() -> None:
