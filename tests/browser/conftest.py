@@ -23,7 +23,7 @@ from tests.waiting import until
 
 SCREEN, TABLET, PHONE = (1280, 800), (768, 1024), (390, 844)
 SCHEMES = ["light", "dark"]
-LOOKS = ((SCREEN, "light"), (SCREEN, "dark"), (TABLET, "dark"), (PHONE, "light"))
+LOOKS = ((SCREEN, "light"), (TABLET, "dark"), (PHONE, "light"))
 """Every size of the window and both colour schemes: no size depends on the scheme, and no colour on the size."""
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")

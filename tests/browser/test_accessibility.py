@@ -6,6 +6,8 @@ axe-core comes from npm, by ``npm ci --prefix tests/browser``. Without it its te
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -51,33 +53,38 @@ def axe() -> str:
     return AXE.read_text(encoding="utf-8")
 
 
-def shown_live(page: Any, live: Served) -> None:
-    page.goto(f"{live.url}#{live.token}")
-    until(lambda: page.inner_text("#link") == "live")
-    until(lambda: page.locator("#buttons button:enabled").count() > 5)
-    until(lambda: page.locator("#events tr").count() > 0)
-    until(lambda: page.locator(".js-plotly-plot .xtitle").count() > 10)
+@contextmanager
+def shown_live(browser: Any, live: Served) -> Iterator[Any]:
+    with tab(browser, SCREEN, own=live.url) as page:
+        page.goto(f"{live.url}#{live.token}")
+        until(lambda: page.inner_text("#link") == "live")
+        until(lambda: page.locator("#buttons button:enabled").count() > 5)
+        until(lambda: page.locator("#events tr").count() > 0)
+        until(lambda: page.locator(".js-plotly-plot .xtitle").count() > 10)
+        yield page
 
 
-def shown_report(page: Any, report: Path) -> None:
-    page.goto(report.as_uri())
-    until(lambda: page.locator(".js-plotly-plot .xtitle").count() > 10)
+@contextmanager
+def shown_report(browser: Any, report: Path) -> Iterator[Any]:
+    with tab(browser, SCREEN, own=report.as_uri()) as page:
+        page.goto(report.as_uri())
+        until(lambda: page.locator(".js-plotly-plot .xtitle").count() > 10)
+        yield page
 
 
-@pytest.mark.parametrize("scheme", SCHEMES)
-def test_axe_finds_no_serious_violation_on_the_live_page(browser: Any, live: Served, axe: str, scheme: str) -> None:
-    with tab(browser, SCREEN, own=live.url, scheme=scheme) as page:
-        shown_live(page, live)
-        page.evaluate(axe)
+def check_with_axe(page: Any, axe: str) -> None:
+    page.evaluate(axe)
+    for scheme in SCHEMES:
+        page.emulate_media(color_scheme=scheme)
+        until(lambda scheme=scheme: background(page) == scheme)  # type: ignore[misc]
         assert page.evaluate(VIOLATIONS) == []
 
 
-@pytest.mark.parametrize("scheme", SCHEMES)
-def test_axe_finds_no_serious_violation_in_a_report(browser, reports, axe, scheme) -> None:
-    with tab(browser, SCREEN, own=reports[0].as_uri(), scheme=scheme) as page:
-        shown_report(page, reports[0])
-        page.evaluate(axe)
-        assert page.evaluate(VIOLATIONS) == []
+def test_axe_finds_no_serious_violation(browser: Any, live: Served, reports: tuple[Path, Path], axe: str) -> None:
+    with shown_live(browser, live) as page:
+        check_with_axe(page, axe)
+    with shown_report(browser, reports[0]) as page:
+        check_with_axe(page, axe)
 
 
 def check_keyboard(page: Any, least: int, keys: tuple[str, ...] = ("Tab", "Shift+Tab")) -> None:
@@ -95,8 +102,7 @@ def check_keyboard(page: Any, least: int, keys: tuple[str, ...] = ("Tab", "Shift
 
 def test_the_keyboard_reaches_every_control(browser: Any, live: Served, reports: tuple[Path, Path]) -> None:
     """Buttons, speed, the earlier moments, lists that scroll, menus with their files, whole track."""
-    with tab(browser, SCREEN, own=live.url) as page:
-        shown_live(page, live)
+    with shown_live(browser, live) as page:
         page.focus("#moment")
         page.keyboard.press("Home")
         until(lambda: page.locator("#now:enabled").count() == 1)
@@ -104,8 +110,7 @@ def test_the_keyboard_reaches_every_control(browser: Any, live: Served, reports:
         page.keyboard.press("Enter")
         until(lambda: page.locator("#panel-depth .menu button:visible").count() == 3)
         check_keyboard(page, 28)
-    with tab(browser, SCREEN, own=reports[0].as_uri()) as page:
-        shown_report(page, reports[0])
+    with shown_report(browser, reports[0]) as page:
         check_keyboard(page, 20)
 
 
@@ -113,23 +118,15 @@ def test_after_the_end_everyone_can_use_the_page(browser, live, reports, axe) ->
     with tab(browser, SCREEN, own=live.url) as page, ended(live, reports[0]):
         page.goto(f"{live.url}#{live.token}")
         until(lambda: page.locator("#finished a").count() == 1)
-        page.evaluate(axe)
-        for scheme in SCHEMES:
-            page.emulate_media(color_scheme=scheme)
-            until(lambda scheme=scheme: background(page) == scheme)  # type: ignore[misc]
-            assert page.evaluate(VIOLATIONS) == []
+        check_with_axe(page, axe)
         check_keyboard(page, 18, ("Tab",))
         assert page.locator("#finished [data-reach]").count() == 2
 
 
 @pytest.mark.parametrize("what", ["live page", "report"])
 def test_text_of_twice_the_size_loses_nothing(large_letters, live, reports, what) -> None:
-    own = live.url if what == "live page" else reports[0].as_uri()
-    with tab(large_letters, SCREEN, own=own) as page:
-        if what == "live page":
-            shown_live(page, live)
-        else:
-            shown_report(page, reports[0])
+    shown = shown_live(large_letters, live) if what == "live page" else shown_report(large_letters, reports[0])
+    with shown as page:
         assert page.evaluate("getComputedStyle(document.querySelector('h1')).fontSize") == "32px"
         assert page.evaluate("getComputedStyle(document.querySelector('#plot-depth .xtitle')).fontSize") == "22px"
         for _ in looks(page):

@@ -12,6 +12,7 @@ from types import ModuleType
 import pytest
 from typer.main import get_command
 
+import ltv_mpc
 from ltv_mpc import references
 from services.cli.app import app
 from tests.docs.pages import ROOT, blocks
@@ -66,7 +67,8 @@ def python_entries() -> dict[str, str]:
 
 def test_every_python_name_has_an_example() -> None:
     entries = python_entries()
-    assert {f"ltv_mpc.references.{name}" for name in references.__all__} <= set(entries)
+    public = {*ltv_mpc.__all__, *(f"references.{name}" for name in references.__all__)}
+    assert {f"ltv_mpc.{name}" for name in public - {"__version__", "references"}} <= set(entries)
     examples = {name: re.findall(r"^ +(?:>>>|\.\.\.) (.*)", entry, re.MULTILINE) for name, entry in entries.items()}
     assert [name for name, lines in examples.items() if not lines] == []
     too_wide = [line for lines in examples.values() for line in lines if len(line) > 80]

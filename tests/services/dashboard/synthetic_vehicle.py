@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import uvicorn
+from msgspec.structs import replace
 
 from ltv_mpc.messages import (
     Acknowledgement,
@@ -80,10 +81,10 @@ class SyntheticVehicle:
 
     def announce(self, *, vehicle_ns: int, state: ClockState, speed: float) -> None:
         num, den = fraction_of(speed).as_integer_ratio()
-        self._clock = Clock(
+        self._clock = replace(
+            self._clock,
             clock_epoch=self.clock_epoch,
             clock_sequence=self._clock.clock_sequence + 1,
-            host_boot_id=self._clock.host_boot_id,
             at_monotonic_us=monotonic_us(),
             vehicle_ns=vehicle_ns,
             speed_num=num,
@@ -191,16 +192,22 @@ def serving(feed: BusFeed, bus: BusOptions) -> Iterator[Served]:
 
 
 @contextmanager
-def served(router_port: int) -> Iterator[Served]:
-    """Run router, vehicle and page in this process, each with its own session."""
+def sessions(router_port: int) -> Iterator[tuple[Session, Session, BusOptions]]:
+    """Run a router and two sessions in this process; yield these, aboard and ashore, and the options of another one."""
     endpoint = f"tcp/127.0.0.1:{router_port}"
-    reached = BusOptions(connect=(endpoint,), namespace="synthetic")
+    reached = BusOptions(connect=(endpoint,))
 
     def opened(options: BusOptions) -> Session:
         return open_session(options, stop=lambda: False, say=lambda _: None)
 
-    router = BusOptions(listen=(endpoint,), namespace="synthetic")
-    with opened(router), opened(reached) as aboard, opened(reached) as ashore:
+    with opened(BusOptions(listen=(endpoint,))), opened(reached) as aboard, opened(reached) as ashore:
+        yield aboard, ashore, reached
+
+
+@contextmanager
+def served(router_port: int) -> Iterator[Served]:
+    """Run router, vehicle and page in this process, each with its own session."""
+    with sessions(router_port) as (aboard, ashore, reached):
         feed = BusFeed(ashore, vehicle_of({"config/vehicle.toml": synthetic_run.VEHICLE}))
         with serving(feed, reached) as shown, closing(SyntheticVehicle(aboard)) as shown.vehicle:
             yield shown

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import chain
 from pathlib import Path
@@ -17,7 +17,7 @@ from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.mailbox import Mailbox
 from services.bus.options import BusOptions
 from services.bus.roles import HISTORY
-from services.bus.session import Reply, Session, open_session
+from services.bus.session import Reply, Session
 from services.bus.topics import BY_TYPE
 from services.bus.wire import Header, to_map, unpack
 from services.dashboard.bus_feed import BusFeed
@@ -27,16 +27,13 @@ from services.recording.segments import SegmentWriter
 from services.runtime.recording_loop import RecordingLoop
 from services.runtime.stopping import StopRequest
 from sim.evaluation.metrics import RunMetrics
+from tests.services.dashboard.synthetic_vehicle import sessions
 from tests.services.reporting import synthetic_run
 from tests.services.reporting.synthetic_run import CYCLE_NS, EPOCH, SPEED_NORTH_MPS, S
 from tests.services.words import status
 from tests.waiting import until
 
 JOIN_S, END_S = 60, 62
-
-
-def opened(options: BusOptions) -> Session:
-    return open_session(options, stop=lambda: False, say=print)
 
 
 @contextmanager
@@ -90,24 +87,17 @@ class Publisher:
 
 
 @contextmanager
-def recorded_dive(
-    folder: Path, port: int, before: Callable[[Publisher, Session], object] = lambda *_: None
-) -> Iterator[tuple[Publisher, Session, BusOptions]]:
-    """Record a dive until ``JOIN_S``. Yield its publisher, and session and bus of one who joins it.
-
-    ``before`` is called before the recorder starts.
-    """
-    endpoint = f"tcp/127.0.0.1:{port}"
-    reached = BusOptions(connect=(endpoint,))
-    with opened(BusOptions(listen=(endpoint,))), opened(reached) as aboard, opened(reached) as ashore:
-        publisher = Publisher(aboard)
-        before(publisher, ashore)
+def recorded_dive(folder: Path, port: int) -> Iterator[tuple[Publisher, BusFeed, BusFeed]]:
+    """Record a dive until ``JOIN_S``. Yield its publisher, a page that is older than the recorder, and a late one."""
+    with sessions(port) as (aboard, ashore, reached):
+        publisher, early = Publisher(aboard), BusFeed(ashore, Vehicle.load("paper"))
+        until(lambda: publisher.outs["plant"].publish(status("plant")) or early.update() or early.status().processes)
         with recorder(reached, folder, ashore) as loop:
             until(lambda: is_recorded(loop, publisher))
             for second in range(JOIN_S + 1):  # all at once would be dropped by the full queues
                 wanted = loop.received + publisher.publish(second)
                 until(lambda wanted=wanted: loop.received >= wanted)  # type: ignore[misc]
-            yield publisher, ashore, reached
+            yield publisher, early, BusFeed(ashore, Vehicle.load("paper"))
 
 
 def verdict() -> RunMetrics:
@@ -117,28 +107,16 @@ def verdict() -> RunMetrics:
     return metrics
 
 
-def test_with_a_recorder_a_late_joiner_shows_the_figures_of_the_verdict(tmp_path: Path, free_port: int) -> None:
-    with recorded_dive(tmp_path, free_port) as (publisher, ashore, _):
-        feed = BusFeed(ashore, Vehicle.load("paper"))
-        follow(feed, publisher)
-        check_whole(feed, publisher)
-
-
-def test_a_page_that_a_busy_machine_kept_from_reading_lacks_nothing(tmp_path: Path, free_port: int) -> None:
-    """It was there before the recorder, which it asked in vain."""
-    feeds: list[BusFeed] = []
-
-    def look(publisher: Publisher, ashore: Session) -> None:
-        feed = BusFeed(ashore, Vehicle.load("paper"))
-        until(lambda: publisher.outs["plant"].publish(status("plant")) or feed.update() or feed.status().processes)
-        feeds.append(feed)
-
-    with recorded_dive(tmp_path, free_port, before=look) as (publisher, _, _):
-        (feed,) = feeds
-        follow(feed, publisher)
-        check_whole(feed, publisher)
-    assert "arm accepted" in [mark.text for mark in feed.collector.marks.marks]
-    assert feed.status().clock == "running"  # which the history has not
+def test_with_a_recorder_a_late_page_and_one_that_did_not_read_show_the_figures_of_the_verdict(
+    tmp_path: Path, free_port: int
+) -> None:
+    """A busy machine kept the early page from reading. It asked for the history in vain before the recorder started."""
+    with recorded_dive(tmp_path, free_port) as (publisher, early, late):
+        follow(publisher, early, late)
+        check_whole(late, publisher)
+        check_whole(early, publisher)
+    assert "arm accepted" in [mark.text for mark in early.collector.marks.marks]
+    assert early.status().clock == "running"  # which the history has not
 
 
 def check_whole(feed: BusFeed, publisher: Publisher) -> None:
@@ -154,24 +132,23 @@ def check_whole(feed: BusFeed, publisher: Publisher) -> None:
 
 
 def test_without_a_recorder_a_late_joiner_says_since_when_it_counts(free_port: int) -> None:
-    endpoint = f"tcp/127.0.0.1:{free_port}"
-    reached = BusOptions(connect=(endpoint,))
-    with opened(BusOptions(listen=(endpoint,))), opened(reached) as aboard, opened(reached) as ashore:
+    with sessions(free_port) as (aboard, ashore, _):
         publisher = Publisher(aboard)
         publisher.publish(JOIN_S)
         feed = BusFeed(ashore, None)
-        follow(feed, publisher)
+        follow(publisher, feed)
     assert JOIN_S <= feed.collector.values["since_s"] <= END_S
 
 
-def follow(feed: BusFeed, publisher: Publisher) -> None:
-    """Publish the rest of the dive, and wait until the page has its last estimate."""
+def follow(publisher: Publisher, *feeds: BusFeed) -> None:
+    """Publish the rest of the dive, and wait until each page has its last estimate."""
     publisher.publish(JOIN_S + 0.1)
-    until(lambda: is_reached(feed, publisher))
+    until(lambda: all(is_reached(feed, publisher) for feed in feeds))
     for tenth in range(JOIN_S * 10 + 2, END_S * 10 + 1):
         publisher.publish(tenth / 10)
-        feed.update()
-    until(lambda: is_at(feed, END_S * S) or publisher.repeat())
+        for feed in feeds:
+            feed.update()
+    until(lambda: all(is_at(feed, END_S * S) for feed in feeds) or publisher.repeat())
 
 
 def distance_m(feed: BusFeed) -> float | None:
@@ -227,8 +204,6 @@ def test_the_history_is_bounded_and_keeps_the_start() -> None:
 
 
 def test_all_parts_of_a_long_history_arrive(free_port: int) -> None:
-    endpoint = f"tcp/127.0.0.1:{free_port}"
-    reached = BusOptions(connect=(endpoint,))
     history, asked = History(), 0
     for i in range(LIMIT):
         for node in ("plant", "sensors", "estimator", "controller"):
@@ -240,7 +215,7 @@ def test_all_parts_of_a_long_history_arrive(free_port: int) -> None:
         asked += 1
         reply(history.reply(read_query(query) or 0), None)
 
-    with opened(BusOptions(listen=(endpoint,))), opened(reached) as aboard, opened(reached) as ashore:
+    with sessions(free_port) as (aboard, ashore, _):
         aboard.serve(HISTORY, answer)
         until(lambda: ashore.ask(HISTORY, query_of(0), timeout_s=1.0) is not None)
         asked = 0

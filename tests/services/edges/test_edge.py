@@ -100,9 +100,7 @@ def test_a_plan_is_in_force_until_the_next_one_begins() -> None:
         ((254, 255, 1), 1, (True, True, True)),  # begins again at 0
     ],
 )
-def test_lost_late_and_duplicate_frames_are_told_apart(
-    numbers: tuple[int, ...], lost: int, new: tuple[bool, ...]
-) -> None:
+def test_lost_late_and_duplicate_frames_are_told_apart(numbers, lost, new) -> None:
     counter = LossCounter(256)
     assert tuple(counter.add("sender", number) for number in numbers) == new
     assert counter.lost == lost

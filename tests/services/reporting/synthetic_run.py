@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+from msgspec.structs import replace
 
 from ltv_mpc.messages import (
     Acknowledgement,
@@ -17,7 +18,6 @@ from ltv_mpc.messages import (
     Applied,
     Authority,
     Clock,
-    ClockState,
     Command,
     CurrentProfile,
     CycleTiming,
@@ -45,7 +45,9 @@ from services.bus.session import Session
 from services.bus.wire import Header
 from services.recording.writer import RunWriter
 from services.reporting.plots import collector
-from services.runtime.clock import boot_id
+from tests.ltv_mpc import reports as actuators
+from tests.ltv_mpc.plans import plan_of
+from tests.services.words import running_clock
 
 S = 1_000_000_000
 OFFSET = (3.0, -4.0)
@@ -108,10 +110,11 @@ def plan(t_ns: int, *, origin: PlanOrigin = PlanOrigin.SOLVED, target: tuple[flo
     states = np.zeros((knots, 6))
     states[:, 0] = OFFSET[0] + SPEED_NORTH_MPS * times / S
     states[:, 1] = OFFSET[1]
-    return Plan(
+    return plan_of(
+        times[0],
+        np.tile([20.0, -20.0, 62.5], (knots, 1)),
+        CYCLE_NS,
         cycle_t_ns=t_ns,
-        t_ns=times,
-        thrust_N=np.tile([20.0, -20.0, 62.5], (knots, 1)),
         states=states,
         origin=origin,
         solve=Solve(status=SolveStatus.SOLVED, iterations=25),
@@ -123,19 +126,9 @@ def plan(t_ns: int, *, origin: PlanOrigin = PlanOrigin.SOLVED, target: tuple[flo
 
 
 def applied(t_ns: int) -> Applied:
-    return Applied(
-        t_ns=t_ns,
-        thrust_N=(15.0, -15.0, 62.5),
-        command_N=(15.0, -15.0, 62.5),
-        command_slew_N_per_s=(0.0, 0.0, 0.0),
-        plan_epoch=EPOCH,
-        plan_sequence=0,
-        plan_cycle_t_ns=t_ns // CYCLE_NS * CYCLE_NS,
-        plan_received_t_ns=t_ns // CYCLE_NS * CYCLE_NS + 50_000_000,
-        plan_late=False,
-        plans_late=0,
-        plans_rejected=0,
-    )
+    cycle_ns = t_ns // CYCLE_NS * CYCLE_NS
+    plan = {"plan_epoch": EPOCH, "plan_sequence": 0, "plan_cycle_t_ns": cycle_ns}
+    return actuators.report(t_ns, (15.0, -15.0, 62.5), **plan, plan_received_t_ns=cycle_ns + 50_000_000)
 
 
 def timing(t_ns: int, *, wall_ms: float = 2.0) -> CycleTiming:
@@ -170,18 +163,8 @@ def report(t_ns: int) -> LocalisationReport:
     )
 
 
-def clock(t_ns: int, *, speed: int = 10, state: ClockState = ClockState.RUNNING) -> Clock:
-    return Clock(
-        clock_epoch=EPOCH,
-        clock_sequence=0,
-        host_boot_id=boot_id(),
-        at_monotonic_us=0,
-        vehicle_ns=t_ns,
-        speed_num=speed,
-        speed_den=1,
-        requested_speed=float(speed),
-        state=state,
-    )
+def clock(t_ns: int, *, speed: int = 10) -> Clock:
+    return replace(running_clock(0, epoch=EPOCH, vehicle_ns=t_ns), speed_num=speed, requested_speed=float(speed))
 
 
 def fence(t_ns: int) -> FenceInForce:

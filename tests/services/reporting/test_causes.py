@@ -25,7 +25,7 @@ FROM_NS = 3_000_000_000
 KNOWN: dict[str, Any] = {"seed": 3, "perfect_state": True}
 RIGHT: dict[str, Any] = {"fault": "", "fence": "", "vehicle": "paper", "compute_delay_s": 0.0, "plant": {}}
 SHORT = {**KNOWN, **RIGHT, "duration_s": 15.0, "surface_time_s": 1.0, "water": {"sd_mps": 0.15}}
-LONG = {**KNOWN, **RIGHT, "duration_s": 30.0, "water": {"sd_mps": 0.1}}
+LONG = {**KNOWN, **RIGHT, "duration_s": 35.0, "water": {"sd_mps": 0.1}}
 FILES = {
     "slow.toml": ("ltv_mpc.vehicle.files", {"slew_N_per_s = 100.0": "slew_N_per_s = 5.0"}),
     "noisy.toml": (
@@ -114,7 +114,7 @@ CAUSES: dict[str, tuple[str, dict[str, Any], list[str], str | None, dict[str, An
     ),
     "weak thrusters": (
         "hover",
-        {**LONG, "duration_s": 35.0} | mismatch(thrust=0.2),
+        LONG | mismatch(thrust=0.2),
         ["thrust differs", "The thrusters are weak"],
         None,
         RIGHT,

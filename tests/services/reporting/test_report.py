@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from ltv_mpc.messages import Clock, Estimate, LocalisationReport, NodeSettings, Truth
+from ltv_mpc.messages import Clock, LocalisationReport, NodeSettings, Truth
 from services.bus.wire import Header
 from services.cli import app
 from services.recording.writer import VEHICLE_MODE, RunWriter
@@ -163,16 +163,3 @@ def test_beside_a_vehicle_no_plot_of_a_truth_is_drawn_and_times_count_from_the_s
     assert run["values"]["port_max_N"] == 62.5
     plotted = [t for table in run["tables"].values() for t in table.get("t_s", ())]
     assert max(map(abs, plotted + [mark["t_s"] for mark in run["marks"]])) < 1000.0
-
-
-def test_beside_a_boat_no_plot_of_a_dive_is_drawn(tmp_path: Path) -> None:
-    with RunWriter(tmp_path / "run.mcap", start_ns=0, metadata={"mode": VEHICLE_MODE}) as writer:
-        for i in range(20):
-            t_ns = i * synthetic_run.S
-            estimate = msgspec.structs.replace(Estimate.at_rest(), t_ns=t_ns)
-            writer.write("mavlink", estimate, Header(epoch=1, sequence=i), t_ns)
-            writer.write("mavlink", synthetic_run.applied(t_ns), Header(epoch=1, sequence=i), t_ns)
-    assert app.run(["report", str(tmp_path)]) == 0
-    names = {plot["name"] for plot in data((tmp_path / "report.html").read_text())["plots"]}
-    assert "thrust" in names
-    assert not names & {"depth", "vertical", "current", "nis", "energy"}

@@ -44,9 +44,7 @@ def test_what_was_not_nominal_is_counted_with_its_most_frequent_reason() -> None
     ("before", "wrong", "after", "mood"),
     [(0, 1, 99, Mood.NEUTRAL), (50, 1, 49, Mood.NEUTRAL), (0, 2, 98, Mood.BAD), (99, 1, 0, Mood.BAD)],
 )
-def test_it_is_bad_only_at_the_end_or_in_more_than_one_in_a_hundred(
-    before: int, wrong: int, after: int, mood: Mood
-) -> None:
+def test_it_is_bad_only_at_the_end_or_in_more_than_one_in_a_hundred(before, wrong, after, mood) -> None:
     nominal, report = synthetic_run.plan(0), synthetic_run.report(0)
     late = msgspec.structs.replace(nominal, health=Health.HOLD, health_why="no new estimates")
     unsure = msgspec.structs.replace(report, status=FilterStatus.INCONSISTENT, why="adcp")

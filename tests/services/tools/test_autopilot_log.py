@@ -152,10 +152,9 @@ def test_a_log_has_the_motion_of_the_drive_its_thrusts_and_when_it_was_armed(kin
     assert any("SERVOn_FUNCTION" in note for note in found.notes) is kind.endswith("tlog")
 
 
-@pytest.mark.parametrize("kind", ["armed later.BIN", "restarted.tlog"])
-def test_the_vehicle_that_made_a_log_is_found(kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    log, wrong = tmp_path / kind, tmp_path / "wrong.toml"
-    KINDS[kind](log)
+def test_the_vehicle_that_made_a_log_is_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log, wrong = tmp_path / "restarted.tlog", tmp_path / "wrong.toml"
+    KINDS[log.name](log)
     true = {"surge.mass_kg": BOAT.surge.mass_kg, "sway.mass_kg": BOAT.sway.mass_kg}
     too_much = {key: 1.4 * value for key, value in (true | {"yaw.inertia_kgm2": BOAT.yaw.inertia_kgm2}).items()}
     wrong.write_text(to_toml(changed(BOAT, too_much)))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import shutil
 import subprocess
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -40,9 +39,7 @@ int main(void) {
     reason="the exported code needs a C compiler (gcc) and make, which this machine does not have",
 )
 @pytest.mark.parametrize("settings", ["horizon_s = 1.5", "[limits]\nmax_surge_mps = 0.1\nmin_surge_mps = -0.1"])
-def test_the_compiled_code_gives_the_controller_s_thrusts(
-    settings: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_compiled_code_gives_the_controller_s_thrusts(settings, tmp_path, capsys) -> None:
     file, folder = tmp_path / "controller.toml", tmp_path / "c"
     file.write_text(settings)
     assert run(["qp", "export-c", str(folder), "--settings", str(file), "--json"]) == 0
@@ -62,9 +59,7 @@ def test_the_compiled_code_gives_the_controller_s_thrusts(
     assert np.abs(by_c).max() > 5.0
 
 
-def test_a_problem_that_is_not_solved_is_not_exported(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_problem_that_is_not_solved_is_not_exported(tmp_path, capsys, monkeypatch) -> None:
     def broken(*_: object, **__: object) -> Result:
         raise ValueError("as asked")
 
@@ -74,9 +69,7 @@ def test_a_problem_that_is_not_solved_is_not_exported(
     assert not (tmp_path / "c").exists()
 
 
-def test_a_folder_that_is_not_empty_is_left_alone_without_force(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_folder_that_is_not_empty_is_left_alone_without_force(tmp_path, capsys) -> None:
     (tmp_path / "mine.c").write_text("int x;")
     assert run(["qp", "export-c", str(tmp_path)]) == 2
     assert "--force" in capsys.readouterr().err

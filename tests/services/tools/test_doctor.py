@@ -84,9 +84,7 @@ def test_here_nothing_is_a_problem(capsys: pytest.CaptureFixture[str]) -> None:
     assert len(shown["findings"]) == len(doctor.CHECKS)
 
 
-def test_a_problem_is_exit_1_and_a_check_that_fails_is_one(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_problem_is_exit_1_and_a_check_that_fails_is_one(monkeypatch, capsys) -> None:
     monkeypatch.setattr(doctor, "CHECKS", (lambda: (Level.WARNING, "b", "c"),))
     assert run(["doctor"]) == 0
     monkeypatch.setattr(doctor, "CHECKS", (raises(RuntimeError("so it is")), lambda: (Level.OK, "fine")))

@@ -132,9 +132,7 @@ CASES: tuple[tuple[Fence | None, dict[str, Any], tuple[str, ...]], ...] = (
 
 
 @pytest.mark.parametrize(("fence", "more", "expected"), CASES)
-def test_each_thing_that_cannot_be_is_found_and_nothing_else(
-    fence: Fence | None, more: dict[str, Any], expected: tuple[str, ...]
-) -> None:
+def test_each_thing_that_cannot_be_is_found_and_nothing_else(fence, more, expected) -> None:
     problems = checked(fence, **more).problems
     assert len(problems) == len(expected), problems
     assert all(part in problem for problem, part in zip(problems, expected, strict=True)), problems

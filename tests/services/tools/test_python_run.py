@@ -44,9 +44,7 @@ def test_a_run_that_is_simulated_is_the_one_that_is_recorded_and_read(run: Run, 
         ('kind = "hold"', False),
     ],
 )
-def test_the_error_of_the_vehicle_is_absolute_for_places_and_drift_for_here(
-    reference: str, absolute: bool, tmp_path: Path
-) -> None:
+def test_the_error_of_the_vehicle_is_absolute_for_places_and_drift_for_here(reference, absolute, tmp_path) -> None:
     (tmp_path / "there.toml").write_text(reference)
     settings = {"reference": tmp_path / "there.toml", "duration_s": 8.0, "surface_time_s": 1.0, "seed": 5}
     run = simulate("hover", out=tmp_path / "run", **settings)

@@ -128,9 +128,7 @@ def both(count: int, speed_mps: float, thrust_N: float, turn_radps: float = 0.0)
     ],
     ids=["empty", "no thrust", "one estimate", "short", "at rest", "no thrust reported", "doubled", "on a train"],
 )
-def test_a_log_to_which_nothing_can_be_fitted_is_one_line_and_exit_code_2(
-    messages: list[Message], says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_log_to_which_nothing_can_be_fitted_is_one_line_and_exit_code_2(messages, says, tmp_path, capsys) -> None:
     assert run(["vehicle", "identify", record(tmp_path / "log", messages), "--vehicle", "paper"]) == 2
     error = capsys.readouterr().err
     assert "run.mcap" in error

@@ -57,6 +57,7 @@ def test_nothing_that_a_stranger_sends_takes_the_link_of_an_autopilot_that_speak
     for number, frame in enumerate(forged):
         edge.receive(Received(f"stranger:{number}", frame, b"", SECOND_US))
     assert edge.refused == 4  # an empty datagram has no frame, and another system is none of ours
+    assert key is None or any("signature" in reason for reason in edge.refused_by_reason)
     assert answers(edge, SECOND_US) == {"autopilot:1"}
     edge.receive(Received("autopilot:1", heartbeat(autopilot), b"", 2 * SECOND_US))
     assert edge.autopilot.heard_us == 2 * SECOND_US  # its frames still count

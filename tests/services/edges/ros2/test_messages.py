@@ -177,9 +177,7 @@ def test_obstacles_come_as_the_json_of_their_message() -> None:
         ("release", {}, Action.RELEASE),
     ],
 )
-def test_a_service_is_a_command_and_its_reply_that_of_the_controller(
-    service: str, fields: dict[str, bool], action: Action
-) -> None:
+def test_a_service_is_a_command_and_its_reply_that_of_the_controller(service, fields, action) -> None:
     edge = edge_with()
     (command,) = give(edge, service, request="7", **fields)
     assert command.action is action

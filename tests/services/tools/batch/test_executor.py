@@ -109,9 +109,7 @@ def test_workers_end_with_a_parent_that_is_killed(tmp_path: Path) -> None:
 
 
 @pytest.mark.timeout(700)
-def test_a_cluster_that_loses_its_worker_on_the_way_does_each_job(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_cluster_that_loses_its_worker_on_the_way_does_each_job(tmp_path, monkeypatch) -> None:
     distributed = pytest.importorskip("distributed")
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
         monkeypatch.setenv(name, "1")

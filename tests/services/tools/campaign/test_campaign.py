@@ -124,9 +124,7 @@ def test_with_a_worker_interrupted_and_gone_on_with_it_gives_the_same_bytes(
     assert results(out) == results(finished)
 
 
-def test_runs_that_cannot_be_made_are_listed_and_the_rest_goes_on(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_runs_that_cannot_be_made_are_listed_and_the_rest_goes_on(tmp_path, capsys, monkeypatch) -> None:
     """Each value is good alone; a cell of 3 m in a column of 2 m is not."""
     text = FILE.replace("controller.horizon_s = [0.6, 1.2]", "water.cell_m = [1.0, 3.0]\nwater.deepest_m = [2.0, 70.0]")
     text = text.replace("vehicle.thruster.port.arm_m = [0.15, 0.2]", "").replace("seeds.count = 3", "seeds.count = 1")
@@ -142,9 +140,7 @@ def test_runs_that_cannot_be_made_are_listed_and_the_rest_goes_on(
     assert failed["tracking_error_m.mean"] is None
 
 
-def test_a_value_outside_its_bounds_is_refused_before_anything_is_made(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_value_outside_its_bounds_is_refused_before_anything_is_made(tmp_path, capsys) -> None:
     path = tmp_path / "c.toml"
     path.write_text(FILE.replace("[0.15, 0.2]", "[0.15, -0.2]"))
     assert run(["campaign", str(path), "--out", str(tmp_path / "out")]) == 2
@@ -154,9 +150,7 @@ def test_a_value_outside_its_bounds_is_refused_before_anything_is_made(
     assert not (tmp_path / "out").exists()
 
 
-def test_a_folder_of_another_campaign_is_refused(
-    finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_folder_of_another_campaign_is_refused(finished, tmp_path, capsys) -> None:
     other = tmp_path / "c.toml"
     other.write_text(FILE.replace("1.2]", "1.5]"))
     before = results(finished)
@@ -165,9 +159,7 @@ def test_a_folder_of_another_campaign_is_refused(
     assert results(finished) == before
 
 
-def test_a_scheduler_that_is_not_there_is_refused(
-    file: Path, tmp_path: Path, free_port: int, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_scheduler_that_is_not_there_is_refused(file, tmp_path, free_port, capsys, monkeypatch) -> None:
     pytest.importorskip("distributed")
     monkeypatch.setattr(executor, "CLUSTER_TIMEOUT_S", 0.2)
     cluster = f"tcp://127.0.0.1:{free_port}"

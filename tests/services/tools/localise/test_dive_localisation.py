@@ -192,9 +192,7 @@ def framed(ensembles: list[Written], **head: Any) -> list[bytes]:
 @pytest.mark.parametrize(
     ("seed", "of"), [(1, {}), (1, {"speed": 2.5, "turn_deg_s": 6.0}), (2, {"turn_deg_s": 3.0, "dt": 8.0})]
 )
-def test_a_vehicle_that_turns_is_localised_and_the_filter_is_consistent(
-    seed: int, of: dict[str, float], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_vehicle_that_turns_is_localised_and_the_filter_is_consistent(seed, of, tmp_path, monkeypatch) -> None:
     """With one random walk for every vehicle, wide enough for a glider, the error was 104 m at a sigma of 5.8 m."""
     monkeypatch.setattr(dive_localisation, "MAX_STARTS", 10)
     result = localise(of_lawnmower(tmp_path, lawnmower(seed, **of))).result

@@ -102,9 +102,7 @@ def test_a_cycle_with_flushed_caches_takes_longer_than_a_repeated_one(monkeypatc
     assert sum(min(of.flushed_us) for of in found) > sum(min(of.repeated_us) for of in found)
 
 
-def test_stages_are_parts_of_the_cycle_and_ratios_to_piqp_at_the_same_horizon(
-    profiled: tuple[dict[str, Any], Path],
-) -> None:
+def test_stages_are_parts_of_the_cycle_and_ratios_to_piqp_at_the_same_horizon(profiled) -> None:
     rows = profiled[0]["rows"]
     for row in rows:
         assert list(row["stage_us"]) == list(STAGES)
@@ -229,9 +227,7 @@ def test_a_recorded_run_gives_the_controller_what_it_got(dive: Path) -> None:
         np.testing.assert_array_equal(made.thrust_N, was.thrust_N)
 
 
-def test_a_recorded_run_is_measured_at_any_horizon_and_json_has_stdout_to_itself(
-    dive: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_recorded_run_is_measured_at_any_horizon_and_json_has_stdout_to_itself(dive, capsys, monkeypatch) -> None:
     monkeypatch.setattr(latency, "WARM_UP", 2)
     options = ["--horizons", "2", "--solvers", "piqp, osqp,piqp", "--cycles", "10", "--json"]
     assert run(["profile", "--run", str(dive / "run.mcap"), *options]) == 0
