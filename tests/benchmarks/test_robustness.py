@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from benchmarks.rivals import lqr
-from benchmarks.robustness import tuning
 from benchmarks.robustness.cases import RIGHT, conditions
 from benchmarks.robustness.flights import Job, Row, judged
-from benchmarks.robustness.laws import DEFAULT, LQR, PID
+from benchmarks.robustness.laws import DEFAULT, LQR, PID, tuned_gains
 from benchmarks.strangers.flight import Conditions, fly, load
 from ltv_mpc.messages import CurrentProfile, Estimate
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -91,7 +90,7 @@ def test_waves_carry_the_plant() -> None:
 def test_a_rival_flies_well_so_that_the_comparison_proves_something(
     vehicle: str, task: str, law: str, most_m: float
 ) -> None:
-    found = judged(Job(Row(vehicle, task, RIGHT), law, 1, tuning.gains()[vehicle]))
+    found = judged(Job(Row(vehicle, task, RIGHT), law, 1, tuned_gains()[vehicle]))
     assert found.mean_m < most_m
     assert math.isfinite(found.arrival_s)
 
@@ -105,7 +104,7 @@ def test_the_controller_is_no_more_than_30_percent_worse_than_it_was(row: Row) -
 
 def test_the_gain_is_stable_at_every_speed_of_the_water_and_does_nothing_at_the_trim() -> None:
     vehicle = Vehicle.load("paper")
-    made = lqr.Lqr(vehicle, tuning.gains()["paper"]["lqr"])
+    made = lqr.Lqr(vehicle, tuned_gains()["paper"]["lqr"])
     still = Estimate.at_rest(heading_rad=math.pi, depth_m=1.0)
     current = CurrentProfile(depth_m=np.array([0.0, 2.0]), north_mps=np.full(2, 0.1), east_mps=np.zeros(2))
     pair = made.thrust(msgspec.structs.replace(still, current=current), (0.0, 0.0))
