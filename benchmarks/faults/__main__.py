@@ -29,16 +29,16 @@ from rich.console import Console
 from rich.progress import Progress
 
 from benchmarks.faults import campaign, inject
-from benchmarks.faults.judge import UNFLAGGED_S, FaultOutcome
+from benchmarks.faults.judge import UNFLAGGED_S, WAIT_S, FaultOutcome
 from benchmarks.faults.kinds import NAMES, Place
 from ltv_mpc.errors import ConfigError
 from services.bus.options import BusOptions
 from services.bus.roles import ROLES
 from services.cli.options import check_endpoint, check_namespace
-from services.runtime.console import counted
+from services.runtime.console import columns, counted
 from services.tools.batch.results_store import open_store
 
-QUICK, FULL = 31, 1000
+QUICK, FULL = 33, 1000
 """Default numbers of faults."""
 
 MAX_SHOWN = 40
@@ -71,6 +71,8 @@ FIGURES: dict[str, tuple[str, Callable[[Outcomes], Any]]] = {
     "unflagged": ("unflagged", lambda seen: sum(one.outside_s > UNFLAGGED_S for one in seen)),
     "uncounted": ("lost", lambda seen: sum(one.uncounted for one in seen)),
     "bad_thrusts": ("bad", lambda seen: sum(one.bad_thrusts for one in seen)),
+    "false_figures": ("false", lambda seen: sum(bool(one.false_figures) for one in seen)),
+    "waits": (">10 s", lambda seen: sum((one.wait_s or 0.0) > WAIT_S for one in seen)),
     "uncontrolled": ("out", lambda seen: sum(bool(one.uncontrolled) for one in seen)),
 }
 """Figures of a fault class, with their headings. None: not measured."""
@@ -91,8 +93,7 @@ def table(of: dict[str, Any]) -> str:
     """Format a line for each class, the sums, and the violated requirements."""
     rows = [*of["rows"], {**dict.fromkeys(FIGURES, ""), **of, "fault": "all"}]
     lines = [[heading for heading, _ in FIGURES.values()], *([_figure(row[name]) for name in FIGURES] for row in rows)]
-    widths = [max(len(line[i]) for line in lines) for i in range(len(lines[0]))]
-    text = ["  ".join(cell.rjust(width) for cell, width in zip(line, widths, strict=True)) for line in lines]
+    text = columns(lines, numbers=True)
     for seen in of["violations"][:MAX_SHOWN]:
         fault = seen.fault
         where = f"{fault.kind} {fault.target}, {seen.place}, seed {seen.run_seed}"

@@ -19,10 +19,10 @@ from typing import Any, NamedTuple
 import msgspec
 
 from benchmarks.batch import as_plain, decode
-from benchmarks.faults import draw, lockstep, process_runs, recorded
+from benchmarks.faults import datagrams, draw, lockstep, process_runs, recorded
 from benchmarks.faults.draw import Pace, Run
 from benchmarks.faults.judge import Errors, FaultOutcome, errors, judge
-from benchmarks.faults.kinds import ATTACKS, KINDS, NAMES, FaultClass, Place
+from benchmarks.faults.kinds import ATTACKS, DATAGRAMS, KINDS, NAMES, FaultClass, Place
 from ltv_mpc.errors import ConfigError
 from services.run.provenance import provenance_table
 from services.tools.batch.executor import run_each
@@ -65,7 +65,9 @@ class Unmeasured(RuntimeError):
 
 
 class Task(NamedTuple):
-    """Run of the campaign; ``way``: "lockstep", "bus" (messages are harmed) or "node" (processes are attacked)."""
+    """Run of the campaign; ``way``: "lockstep", "flight" (datagrams of strangers), "bus" (messages are harmed) or
+    "node" (processes are attacked).
+    """
 
     name: str
     way: str
@@ -107,14 +109,20 @@ class Campaign(NamedTuple):
     @property
     def tasks(self) -> list[Task]:
         """All runs with faults."""
-        to_nodes = sum(kind.name in ATTACKS for kind in self.outside) * self.n_outside // max(1, len(self.outside))
         pace, several = (QUICK, SEVERAL_QUICK) if self.quick else (PACE, SEVERAL)
-        tasks = self._tasks("lockstep", self.inside, self.n_inside, several, max(1, self.n_inside // A_SEED), pace, 0.0)
+        seeds = max(1, self.n_inside // A_SEED)
+        tasks = self._of_ways(("lockstep", "flight"), self.inside, self.n_inside, several, seeds, pace, 0.0)
         pace, longer_s = (QUICK_IN_PROCESSES, 0.0) if self.quick else (PACE_IN_PROCESSES, LAST_S)
-        for way, n in (("bus", self.n_outside - to_nodes), ("node", to_nodes)):
-            kinds = [kind for kind in self.outside if (kind.name in ATTACKS) is (way == "node")]
-            tasks += self._tasks(way, kinds, n, SEVERAL_IN_PROCESSES, SEEDS_IN_PROCESSES, pace, longer_s)
+        several, seeds = SEVERAL_IN_PROCESSES, SEEDS_IN_PROCESSES
+        tasks += self._of_ways(("bus", "node"), self.outside, self.n_outside, several, seeds, pace, longer_s)
         return tasks
+
+    def _of_ways(self, ways: tuple[str, str], kinds: Sequence[FaultClass], n: int, *others: Any) -> list[Task]:
+        """Return the runs of both ways; the second way has its share of the faults."""
+        second = [kind for kind in kinds if way_of(kind) == ways[1]]
+        of_second = len(second) * n // max(1, len(kinds))
+        first = [kind for kind in kinds if kind not in second]
+        return [*self._tasks(ways[0], first, n - of_second, *others), *self._tasks(ways[1], second, of_second, *others)]
 
     def _tasks(
         self, way: str, kinds: Sequence[FaultClass], n: int, several: int, seeds: int, pace: Pace, longer_s: float
@@ -124,6 +132,13 @@ class Campaign(NamedTuple):
         runs = draw.runs(kinds, n, seed=self.seed, several=several, seeds=seeds, pace=pace)
         longer = [msgspec.structs.replace(run, duration_s=run.duration_s + longer_s) for run in runs]
         return [Task(f"{way}-{i:03d}", way, run) for i, run in enumerate(longer)]
+
+
+def way_of(kind: FaultClass) -> str:
+    """Return the kind of run in which faults of a class are injected."""
+    if kind.place is Place.LOCKSTEP:
+        return "flight" if kind.name == DATAGRAMS else "lockstep"
+    return "node" if kind.name in ATTACKS else "bus"
 
 
 def plan(classes: str, where: str, n: int, *, seed: int = 0, quick: bool = False) -> Campaign:
@@ -153,6 +168,8 @@ class Job(NamedTuple):
 def make(job: Job) -> list[FaultOutcome] | Errors:
     """Make a run and judge its faults; return the errors of a run without faults."""
     run, folder = job.task.run, job.folder
+    if job.task.way == "flight":
+        return datagrams.observe(run)
     if job.task.way != "lockstep":
         remove(folder)  # what an interrupted run has left
         ways = {"node": process_runs.attacked, "bus": process_runs.behind_injector}
@@ -161,7 +178,7 @@ def make(job: Job) -> list[FaultOutcome] | Errors:
     return judge(run.seed, Place.LOCKSTEP, of.log, cases, job.baseline) if run.faults else errors(of.log)
 
 
-def verdict(job: Job, ended: process_runs.Ended) -> list[FaultOutcome] | Errors:
+def verdict(job: Job, ended: recorded.Ended) -> list[FaultOutcome] | Errors:
     """Judge the faults of a run of processes that has ended; return the errors of a run without faults.
 
     Raises ``Unmeasured`` if a run without faults has no recording; faults without one are not observed.
@@ -173,7 +190,7 @@ def verdict(job: Job, ended: process_runs.Ended) -> list[FaultOutcome] | Errors:
             raise Unmeasured(f"{job.task.name}: the run without faults has no recording ({why})")
         found = [FaultOutcome(fault=one.fault, place=place, run_seed=run.seed) for one in ended.injected]
         return [*found[:-1], *(msgspec.structs.replace(one, uncontrolled=why) for one in found[-1:])]
-    of, cases = recorded.observe(job.folder, lockstep.run_config(run).vehicle, *ended)
+    of, cases = recorded.observe(job.folder, lockstep.run_config(run).vehicle, ended)
     return judge(run.seed, place, of.log, cases, job.baseline) if run.faults else errors(of.log)
 
 
@@ -191,7 +208,7 @@ def run(
     progress(sum(len(task.run.faults) for task in tasks if task.name in store.keys))
     at_once = max(1, int(LOAD * (os.cpu_count() or 1) / CORES_A_RUN))
     # A few quick faults run in this process, because starting other processes takes longer.
-    for ways, workers in ((("lockstep",), 1 if of.quick else None), (("bus", "node"), at_once)):
+    for ways, workers in ((("lockstep", "flight"), 1 if of.quick else None), (("bus", "node"), at_once)):
         here = [task for task in tasks if task.way in ways]
         missing = [task for task in here if task.name not in store.keys]
         alone = [] if of.quick or not missing else [Job(task, folder / task.name) for task in _alone(here)]
@@ -218,6 +235,7 @@ def without_faults(store: ResultsStore) -> dict[str, Errors]:
 
 def _alone(tasks: Sequence[Task]) -> list[Task]:
     """Return one baseline run for each way and seed, as long as the longest run with faults of that seed."""
+    tasks = [task for task in tasks if task.way != "flight"]  # which has its own
     longest = {task.baseline: task for task in sorted(tasks, key=lambda task: task.run.duration_s)}
     return [
         Task(name, task.way, msgspec.structs.replace(task.run, faults=())) for name, task in sorted(longest.items())

@@ -72,9 +72,9 @@ def runs(kinds: Sequence[FaultClass], n: int, *, seed: int, several: int, seeds:
 
 def _lasts(fault: Fault, pace: Pace) -> bool:
     """Return True if the fault must be the last of its run, because its effect on the estimate would count against
-    later ones.
+    later ones, or because its process stays stopped.
     """
-    return fault.permanent or (fault.target == "imu" and math.isinf(pace.longest_s))
+    return fault.permanent or fault.kind == "helper_stopped" or (fault.target == "imu" and math.isinf(pace.longest_s))
 
 
 def _drawn(kind: FaultClass, turn: int, rng: np.random.Generator, pace: Pace) -> Fault:

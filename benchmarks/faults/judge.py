@@ -34,6 +34,9 @@ RECOVERED = 2.0
 UNFLAGGED_S = 10.0
 """Longest time (s) for which an error may be outside 3 sigma unflagged: one window of innovations."""
 
+WAIT_S = 10.0
+"""Longest time (s) from a signal to the end of the run."""
+
 THREE_SIGMA = 11.829
 """Chi-square quantile of two degrees of freedom at 99.73 %, the probability of 3 sigma of a normal variable."""
 
@@ -59,6 +62,8 @@ class FaultOutcome(msgspec.Struct, frozen=True, kw_only=True):
     uncounted: int = 0  # messages harmed that nobody counted
     bad_thrusts: int = 0  # commands not finite, or outside box or slew, in the plant's own record
     uncontrolled: str = ""  # how the run ended, where that was not to be
+    false_figures: str = ""  # of the run's summary; stated with its last fault
+    wait_s: float | None = None  # from a signal to the run's end, likewise
 
     @property
     def recovered(self) -> bool:
@@ -80,6 +85,8 @@ class FaultOutcome(msgspec.Struct, frozen=True, kw_only=True):
             f"{self.uncounted} uncounted messages": self.uncounted,
             f"tracking error {self.ratio or 0.0:.1f} times that of the run without the fault": not self.recovered,
             f"true error moved by {self.grown_m or 0.0:.1f} m, bound {self.bound_m or 0.0:g} m": self.beyond_bound,
+            f"false figures: {self.false_figures}": self.false_figures,
+            f"ended {self.wait_s or 0.0:.1f} s after the signal": (self.wait_s or 0.0) > WAIT_S,
             f"outside 3 sigma for {self.outside_s:.0f} s, unflagged": self.outside_s > UNFLAGGED_S,
         }
         return [text for text, holds in found.items() if holds]
@@ -138,6 +145,8 @@ def judge(run_seed: int, place: Place, log: Log, cases: Sequence[Case], baseline
     """
     here = errors(log)
     seen = [_judged(run_seed, place, case, here, baseline) for case in cases]
+    for case in cases[-1:]:
+        seen[-1] = msgspec.structs.replace(seen[-1], false_figures=case.of.false_figures, wait_s=case.of.wait_s)
     late = [i for i, one in enumerate(seen) if one.uncontrolled and one.late]
     to_blame = late[0] if late else len(seen) - 1
     return [one if i == to_blame else msgspec.structs.replace(one, uncontrolled="") for i, one in enumerate(seen)]

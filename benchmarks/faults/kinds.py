@@ -18,10 +18,12 @@ from ltv_mpc.messages import (
     Estimate,
     GnssFix,
     ImuSamples,
+    LocalisationReport,
     Message,
     Plan,
     PressureDepth,
     TdcpFix,
+    Truth,
 )
 
 
@@ -73,6 +75,8 @@ MESSAGES: Mapping[str, tuple[type[Message], ...]] = {
     "applied": (Applied,),
     "imu": (ImuSamples,),
     "adcp": (AdcpPing,),
+    "truth": (Truth,),
+    "report": (LocalisationReport,),
     "sensors": (ImuSamples, AdcpPing, CompassHeading, PressureDepth, GnssFix, TdcpFix),
 }
 
@@ -80,6 +84,7 @@ ALL = tuple(INSTRUMENTS)
 WIRES = ("estimate", "plan", "applied", "imu", "adcp")
 LINKS = ("estimate", "plan", "applied")
 STAMPERS = (*LINKS, "sensors")
+OWN_KEYS = (*WIRES, "truth", "report")
 RESTARTABLE = ("estimator", "controller", "recorder")
 THRUSTERS = ("port", "starboard", "both")
 
@@ -122,6 +127,8 @@ KINDS = (
     FaultClass("clock_step",          LOCKSTEP,  ("vehicle",),                 (3, 15), (-3600, 3600)),
     FaultClass("reference_point",     LOCKSTEP,  ("ahead", "starboard"),       (60, 90),  (0.5, 0.5)),
     FaultClass("controller_restart",  LOCKSTEP,  ("controller",),              (1, 5),    (1, 1)),
+    FaultClass("own_keys",            LOCKSTEP,  OWN_KEYS,                     (2, 10),   (0.2, 1)),
+    FaultClass("stranger_datagrams",  LOCKSTEP,  ("open", "signed"),           (2, 10),   (10, 60)),
     FaultClass("message_loss",        PROCESSES, LINKS,                        (1, 6),    (0.2, 1)),
     FaultClass("message_delay",       PROCESSES, LINKS,                        (1, 6),    (0.05, 1)),
     FaultClass("message_reorder",     PROCESSES, LINKS,                        (1, 6),    (0.1, 0.8)),
@@ -132,14 +139,19 @@ KINDS = (
     FaultClass("process_slow",        PROCESSES, RESTARTABLE,                  (2, 8),    (0.3, 0.9)),
     FaultClass("disk_full",           PROCESSES, ("recorder",),                (0, 0),    (1, 1)),
     FaultClass("router_killed",       PROCESSES, ("router",),                  (0, 0),    (1, 1)),
+    FaultClass("helper_stopped",      PROCESSES, ("forkserver", "cleanup"),    (1, 5),    (1, 1)),
+    FaultClass("flood",               PROCESSES, ("unknown", "event"),         (2, 8),  (100, 3000)),
 )  # fmt: skip
 """All classes; those of messages have a row in each place."""
 
 ENDING = ("process_crash", "process_hang", "router_killed", "disk_full")
 """Classes after which a process must work again."""
 
-ATTACKS = (*ENDING, "process_slow")
-"""Classes of what is done to processes themselves."""
+ATTACKS = (*ENDING, "process_slow", "helper_stopped", "flood")
+"""Classes of what is done to the processes of a run, or to its recorder."""
+
+DATAGRAMS = "stranger_datagrams"
+"""Class of what a stranger sends to the edge to MAVLink, in a flight of its own."""
 
 ADRIFT_M = 15.0
 """Drift of a vehicle without control: 75 s in water of 0.2 m/s."""

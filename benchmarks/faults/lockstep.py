@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 import msgspec
@@ -21,6 +23,7 @@ from benchmarks.faults.effects import (
     TimedNode,
     faulty_solvers,
 )
+from benchmarks.faults.figures import OwnKeys, Witness
 from benchmarks.faults.kinds import INSTRUMENTS, MESSAGES, Fault
 from benchmarks.faults.log import INTRUDERS_EPOCH, Case, Log, Observed, lost_between
 from benchmarks.faults.message_faults import (
@@ -43,7 +46,7 @@ from services.bus.message_validation import MessageValidator
 from services.run.nodes import make_nodes
 from services.run.run_config import Override, RunConfig, resolve
 from services.tools import lockstep_run
-from sim.scheduler import EPOCH, Observation
+from sim.scheduler import EPOCH, Observation, Observer
 
 T = TypeVar("T")
 SCENARIO = "hover"
@@ -89,6 +92,8 @@ def part_of(fault: Fault, vehicle: Vehicle) -> Any:
             return ClockStepFault(interval, round(size * 1e9))
         case "controller_restart":
             return interval
+        case "own_keys":
+            return OwnKeys(MESSAGES[fault.target], interval, size, fault.seed)
         case _ if what == "sensor":
             return SensorFault(INSTRUMENTS[fault.target], Failure(how), interval, size, fault.seed)
         case _:
@@ -141,6 +146,7 @@ class Bus(MessageFaults):
         self.accepted: list[int] = []
         """Times (ns) at which a damaged frame was accepted, because its content was valid."""
         self._messages, self._sources = parts.of(MessageFaultInterval), parts.of(SecondSource)
+        self._own_keys = parts.of(OwnKeys).values()
         self._antennas, self._restarts = parts.of(Antenna).values(), parts.of(Interval).values()
         self._validators: dict[str, MessageValidator] = {}
         self._second_estimates = dict.fromkeys(self._sources, 0)
@@ -172,7 +178,8 @@ class Bus(MessageFaults):
             if reader == "controller" and (second := source.message(message)) is not None:
                 self._second_estimates[fault] += 1
                 deliveries.append(Delivery(second.received_t_ns, second))
-        return deliveries
+        false = [frame for own in self._own_keys for frame in own.frames(message)]
+        return [*deliveries, *(Delivery(frame.received_t_ns, frame) for frame in false)]
 
     def _receive(self, reader: str, delivery: Delivery) -> ReceivedMessage | str:
         """Return the accepted message, or the reason why it is rejected."""
@@ -211,13 +218,40 @@ def observe(run: Run, *, tap: Callable[[Message], None] = lambda _: None) -> tup
     """Make the run in this process. ``tap`` receives every published message."""
     of = run_config(run)
     parts = Parts(run.faults, of.vehicle)
-    log, bus = Log(of.vehicle, tap=tap), Bus(parts)
+    log, own_keys = Log(of.vehicle, tap=tap), parts.of(OwnKeys)
+    if not own_keys:
+        observed, harmed, dropped = _lock_step(of, parts, log, log)
+    else:
+        with tempfile.TemporaryDirectory() as folder:
+            witness = Witness(log, of, Path(folder, "run.mcap"), [*own_keys.values()])
+            observed, harmed, dropped = _lock_step(of, parts, log, witness)
+            observed = observed._replace(false_figures=witness.false_figures())
+            harmed |= {fault: witness.sent[own] for fault, own in own_keys.items()}
+    return observed, [
+        Case(
+            fault,
+            fault.start_ns,
+            fault.end_ns,
+            observed,
+            harmed=harmed.get(fault, 0),
+            counted=lost_between(dropped, fault.start_ns, fault.end_ns),
+        )
+        for fault in run.faults
+        if fault.start_ns < observed.until_ns
+    ]
+
+
+def _lock_step(
+    of: RunConfig, parts: Parts, log: Log, observer: Observer
+) -> tuple[Observed, dict[Fault, int], list[tuple[int, int]]]:
+    """Make the run. Return what was observed, the messages that each fault harmed, and the count of lost ones."""
+    bus = Bus(parts)
     lockstep = FaultyLockStep(
         bus,
         parts.nodes(of),
         start_ns=of.scenario.start_ns,
         compute_delay_ns=parts.compute_delay_ns,
-        observation=Observation(log, on_step=log.stepped),
+        observation=Observation(observer, on_step=log.stepped),
         latest=lockstep_run.LATEST,
         make_rejection=lockstep_run.rejected_message,
     )
@@ -230,17 +264,4 @@ def observe(run: Run, *, tap: Callable[[Message], None] = lambda _: None) -> tup
     except Exception as error:  # whatever it is: that is what is looked for
         uncontrolled = f"{type(error).__name__}: {error}"
         until_ns = log.truth[-1][0] if log.truth else of.scenario.start_ns
-    observed = Observed(log, until_ns, uncontrolled, bus.accepted)
-    cases = [
-        Case(
-            fault,
-            fault.start_ns,
-            fault.end_ns,
-            observed,
-            harmed=bus.harmed_by.get(fault, 0),
-            counted=lost_between(dropped, fault.start_ns, fault.end_ns),
-        )
-        for fault in run.faults
-        if fault.start_ns < until_ns
-    ]
-    return observed, cases
+    return Observed(log, until_ns, uncontrolled, bus.accepted), bus.harmed_by, dropped

@@ -162,6 +162,8 @@ class Observed(NamedTuple):
     until_ns: int
     uncontrolled: str = ""  # how it ended, where that was not to be
     accepted: Sequence[int] | None = None  # damaged frames whose content was valid: when; None: nobody looked
+    false_figures: str = ""  # of the summary
+    wait_s: float | None = None  # from a signal to the end of all processes
 
 
 class Case(NamedTuple):

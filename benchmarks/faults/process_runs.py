@@ -1,7 +1,8 @@
 """Runs of processes with faults, at twice real time: attacked, or with an injector between the controller and the rest.
 
 attacked        ``ltv-mpc sim`` whose processes are attacked when the run's clock reaches the time of a fault; a process
-                is found by its parent and its name, and the run receives no notice of it
+                is found by its parent and its name, and the run receives no notice of it; half of the
+                runs are ended by a signal
 behind injector two routers, with the controller alone at the second one; the recording at A holds what the controller
                 received, except for messages that were harmed on their way to B:
 
@@ -10,11 +11,14 @@ behind injector two routers, with the controller alone at the second one; the re
 crash           SIGKILL
 hang            SIGSTOP, without SIGCONT
 slow            stopped for a share of each period, too short to count as hung
+helper stopped  SIGSTOP, until the end of the run: the fork server or the orphan cleanup
+flood           frames of unknown keys, or of a program beside the run
 full disk       no file of the process may grow beyond its present size for some time (RLIMIT_FSIZE)
 """
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import resource
@@ -22,10 +26,10 @@ import secrets
 import signal
 import subprocess
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack, suppress
+from functools import partial
 from pathlib import Path
-from typing import NamedTuple
 
 import msgspec
 
@@ -34,14 +38,14 @@ from benchmarks.faults.draw import Run
 from benchmarks.faults.kinds import Fault
 from benchmarks.faults.lockstep import SCENARIO, run_config
 from benchmarks.faults.message_faults import MessageFault
-from benchmarks.faults.recorded import Injected
+from benchmarks.faults.recorded import Ended, Injected
 from benchmarks.processes import Process, Started, await_router, descendants, end
-from ltv_mpc.messages import Clock, ClockState
+from ltv_mpc.messages import Clock, ClockState, RunEvent
 from services.bus.options import BusOptions
-from services.bus.roles import DISPLAY
-from services.bus.session import open_session
+from services.bus.roles import DISPLAY, SUPERVISOR
+from services.bus.session import Session, open_session
 from services.bus.topics import BY_TYPE, Topic
-from services.bus.wire import WireError, decode
+from services.bus.wire import Header, WireError, decode, encode
 from services.processes import plant
 from services.run import folder as run_folder
 from services.runtime.clock import ClockError, VehicleClock, monotonic_us
@@ -57,6 +61,17 @@ POLL_S = 0.02
 """Time between two looks at the run's clock and process (s)."""
 
 STOP_S = 10.0
+LONGER_S = 300.0
+"""Duration of a run beyond the signal that ends it."""
+
+SIGNALS = {signal.SIGINT: 130, signal.SIGTERM: 1}
+"""Signals that end a run, with its exit code."""
+
+GONE_S = 3.0
+"""Time after a run's end within which the orphan cleanup has ended what is left."""
+
+FLOOD_PERIOD_S = 0.02
+FLOOD_KEYS = 50
 
 SLOW_PERIOD_S = 0.25
 FULL_S = 2.0
@@ -69,13 +84,6 @@ IN_ORDER = ("plant", "sensors", "estimator", UNDER_TEST, "inject", "recorder", "
 """Order in which processes are stopped: the recorder receives the last messages of all others."""
 
 
-class Ended(NamedTuple):
-    """End of a run of processes: the injected faults, and how it ended if that was not to be."""
-
-    injected: list[Injected]
-    uncontrolled: str
-
-
 def patience_s(run: Run) -> float:
     """Return the longest wall time of a run."""
     return START_S + 2.0 * (run.duration_s + run.afloat_s) / SPEED
@@ -85,38 +93,76 @@ def patience_s(run: Run) -> float:
 
 
 def attacked(run: Run, folder: Path) -> Ended:
-    """Run ``ltv-mpc sim`` while its processes are killed, stopped, slowed or refused disk space."""
+    """Run ``ltv-mpc sim`` while its processes are killed, stopped, slowed, flooded or refused disk space."""
+    seed = run.faults[-1].seed if run.faults else 0
+    number = [None, *SIGNALS, None][seed % 4]
     words = ["sim", SCENARIO, "--out", str(folder), "--json", "--speed", repr(SPEED), "--set", f"run.seed={run.seed}"]
-    words += ["--duration-s", repr(run.duration_s), "--surface-time-s", repr(run.afloat_s)]
+    words += ["--duration-s", repr(run.duration_s + (LONGER_S if number else 0.0))]
+    words += ["--surface-time-s", repr(run.afloat_s)]
     injected: list[Injected] = []
     with folder.with_suffix(".log").open("w+b") as log, Started() as started, ExitStack() as sessions:
         process = started.start("services.cli", *words, stderr=log)
         if (clock := _clock_of(process, folder, sessions)) is not None:
             for fault in run.faults:
-                while process.poll() is None and (clock.now_ns() or fault.start_ns - 1) < fault.start_ns:
-                    time.sleep(POLL_S)
-                if process.poll() is not None:
+                if not clock.reaches(fault.start_ns, process):
                     break
                 injected.append(_attack(fault, process, clock))
-        code: int | None = None
+            if number is not None and clock.reaches(round(run.duration_s * 1e9), process):
+                process.send_signal(number)
+        running, began_s, code = descendants(process.pid), time.monotonic(), None
         with suppress(subprocess.TimeoutExpired):
             code = process.wait(patience_s(run) + END_S)
+        wait_s = None if number is None else time.monotonic() - began_s
+        time.sleep(GONE_S if _alive(running) else 0.0)
+        left = _alive(running)
         log.seek(0)
-        return Ended(injected, "" if code == 0 else f"exit code {code}: {log.read()[-500:].decode(errors='replace')}")
+        expected = 0 if number is None else SIGNALS[number]
+        why = "" if code == expected else f"exit code {code}: {log.read()[-500:].decode(errors='replace')}"
+        return Ended(injected, f"{why} left: {', '.join(left)}" if left else why, summarised=True, wait_s=wait_s)
+
+
+def _alive(processes: Mapping[int, str]) -> list[str]:
+    """Return the names of those that still run."""
+    return [name for pid, name in processes.items() if descendants(pid)]
 
 
 def _attack(fault: Fault, process: Process, clock: _Time) -> Injected:
     at_us, at_ns, why = monotonic_us(), clock.now_ns() or fault.start_ns, ""
+    lasts = partial(clock.is_before, fault.end_ns)
+    harmed = 0
     try:
-        pid = next((pid for pid, name in descendants(process.pid).items() if name == f"ltv-{fault.target}"), None)
-        if pid is None:
-            raise ProcessLookupError(f"no process of {fault.target} is running")
-        attack(fault, pid, lasts=lambda: (clock.now_ns() or fault.end_ns) < fault.end_ns)
+        if fault.kind == "flood":
+            harmed = flood(fault, clock.session, lasts=lasts)
+        else:
+            attack(fault, _pid_of(fault.target, process), lasts=lasts)
     except ProcessLookupError as error:
         why = str(error)
     if fault.kind == "disk_full":  # no process can write before space is free again
         at_us = monotonic_us()
-    return Injected(fault, at_ns, at_us, why=why)
+    return Injected(fault, at_ns, at_us, harmed=harmed, why=why)
+
+
+def _pid_of(target: str, process: Process) -> int:
+    """Return the pid of a process of the run. The orphan cleanup leads the process group of all others."""
+    name = "ltv-plant" if target == "cleanup" else f"ltv-{target}"
+    pid = next((pid for pid, found in descendants(process.pid).items() if found == name), None)
+    if pid is None:
+        raise ProcessLookupError(f"no process of {target} is running")
+    return os.getpgid(pid) if target == "cleanup" else pid
+
+
+def flood(fault: Fault, session: Session, *, lasts: Callable[[], bool]) -> int:
+    """Publish frames at ``fault.size`` a second while ``lasts``; return their number."""
+    keys = [f"flood/{i}" for i in range(FLOOD_KEYS)] if fault.target == "unknown" else ["event/flood"]
+    publishers = itertools.cycle([session.publisher(key) for key in keys])
+    event = RunEvent(t_ns=0, node=SUPERVISOR, kind="fault", text="flood")
+    sent = 0
+    while lasts():
+        for publisher in itertools.islice(publishers, round(fault.size * FLOOD_PERIOD_S)):
+            sent += 1
+            publisher.put(encode(event, Header(epoch=fault.seed, sequence=sent, sent_monotonic_us=0)))
+        time.sleep(FLOOD_PERIOD_S)
+    return sent
 
 
 def attack(fault: Fault, pid: int, *, lasts: Callable[[], bool]) -> None:
@@ -124,7 +170,7 @@ def attack(fault: Fault, pid: int, *, lasts: Callable[[], bool]) -> None:
     match fault.kind:
         case "process_crash" | "router_killed":
             os.kill(pid, signal.SIGKILL)
-        case "process_hang":
+        case "process_hang" | "helper_stopped":
             os.kill(pid, signal.SIGSTOP)
         case "process_slow":
             with suppress(ProcessLookupError):  # it was taken for dead, and ended
@@ -149,6 +195,7 @@ class _Time:
     def __init__(self) -> None:
         self._clock = VehicleClock()
         self.state = ClockState.WAITING
+        self.session: Session  # with the run
 
     def offer(self, topic: Topic | None, key: str, payload: bytes) -> None:  # noqa: ARG002  (there is one key)
         """Update the clock (called on the bus's thread)."""
@@ -161,6 +208,16 @@ class _Time:
         """Return the vehicle time (ns); None before the run has a clock."""
         return self._clock.read(monotonic_us()) if self.state is not ClockState.WAITING else None
 
+    def is_before(self, t_ns: int) -> bool:
+        """Return True if the run has not reached this time (ns)."""
+        return (self.now_ns() or t_ns - 1) < t_ns
+
+    def reaches(self, t_ns: int, process: Process) -> bool:
+        """Wait for a time (ns). Return False if the run's process has ended before."""
+        while process.poll() is None and self.is_before(t_ns):
+            time.sleep(POLL_S)
+        return process.poll() is None
+
 
 def _clock_of(process: Process, folder: Path, sessions: ExitStack) -> _Time | None:
     """Return the clock of a run, found by the router address in the plant's settings; None: the run never started."""
@@ -171,8 +228,8 @@ def _clock_of(process: Process, folder: Path, sessions: ExitStack) -> _Time | No
             with suppress(OSError, msgspec.DecodeError):  # not there yet, or not all of it
                 bus = entry_point.read_config(folder / "logs" / "plant.json", plant.Config).bus
                 options = msgspec.structs.replace(bus, role=DISPLAY)
-                session = sessions.enter_context(open_session(options, stop=lambda: False, say=lambda _: None))
-                session.subscribe(BY_TYPE[Clock].key, BY_TYPE[Clock], clock)
+                clock.session = sessions.enter_context(open_session(options, stop=lambda: False, say=lambda _: None))
+                clock.session.subscribe(BY_TYPE[Clock].key, BY_TYPE[Clock], clock)
                 connected = True
         if clock.now_ns() is not None:
             return clock

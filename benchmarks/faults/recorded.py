@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Sequence
 from heapq import merge
 from itertools import pairwise
 from operator import attrgetter
 from pathlib import Path
 from typing import NamedTuple
 
+from benchmarks.faults.figures import false_figures
 from benchmarks.faults.kinds import ENDING, Fault
 from benchmarks.faults.log import Case, Log, Observed, Reaction, lost_between
 from ltv_mpc.messages import Estimate, NodeStatus, Plan, RecordedStep, RejectedFrame, StepRecord, Truth
@@ -45,6 +45,18 @@ class Injected(NamedTuple):
     at_us: int = 0  # host's monotonic clock; for a full disk: when space was free again
     harmed: int = 0  # messages
     why: str = ""  # reason if the fault was not injected
+
+
+class Ended(NamedTuple):
+    """End of a run of processes: the injected faults, and how it ended if that was not to be.
+
+    A run with a supervisor is ``summarised``; ``wait_s``: wall time from the signal that ended it to its end.
+    """
+
+    injected: list[Injected]
+    uncontrolled: str
+    summarised: bool = False
+    wait_s: float | None = None
 
 
 class Sent(NamedTuple):
@@ -170,18 +182,19 @@ class Recorded:
         return next((sent.at_us for sent in after if (key, sent.epoch, sent.sequence) in self._taken), None)
 
 
-def observe(
-    folder: Path, vehicle: Vehicle, injected: Sequence[Injected], uncontrolled: str
-) -> tuple[Observed, list[Case]]:
+def observe(folder: Path, vehicle: Vehicle, ended: Ended) -> tuple[Observed, list[Case]]:
     """Return the observations of a run of processes that has ended, and of its injected faults."""
     read = Recorded(folder / "run.mcap", vehicle)
+    counted, false = 0, ""
     try:
-        counted = int(json.loads((folder / "summary.json").read_text())["messages"]["dropped"])
-    except (OSError, ValueError, KeyError, TypeError):  # a run that did not come to its end has none
-        counted = 0
-    of = Observed(read.log, read.until_ns, uncontrolled)
+        summary = json.loads((folder / "summary.json").read_text())
+        counted = int(summary["messages"]["dropped"])
+        false = "; ".join(false_figures(summary, read.log))
+    except (OSError, ValueError, KeyError, TypeError) as error:  # a run that did not come to its end has none
+        false = f"no summary: {error!r}" if ended.summarised else ""
+    of = Observed(read.log, read.until_ns, ended.uncontrolled, false_figures=false, wait_s=ended.wait_s)
     cases = []
-    for place, one in enumerate(injected):
+    for place, one in enumerate(ended.injected):
         end_ns, reader = max(one.at_ns, one.fault.end_ns), READ_BY.get(one.fault.target, "")
         case = Case(
             one.fault,

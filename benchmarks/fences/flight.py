@@ -1,4 +1,4 @@
-"""Flight of one scene by one method: what it kept from the zones, and its way."""
+"""Flight of one scene: what it kept from the zones, and its way."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.fences import full_loop
 from benchmarks.fences.scenes import Scene, estimate_at_start, obstacle_at, scene_of, settings_of
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.nominal_model import as_estimate
@@ -20,7 +19,6 @@ from ltv_mpc.references import Point
 from sim.motion import apply_mismatch
 from sim.scenario import Mismatch
 
-METHODS = ("fence", "sensors")
 CYCLE_NS = 300_000_000
 REPORT_S = 10.0
 PARTS = 3
@@ -34,10 +32,9 @@ CORNER = 0.3
 
 
 class Job(NamedTuple):
-    """Flight of one scene with one method."""
+    """Flight of one scene."""
 
     seed: int
-    method: str
     moving: bool
     report_s: float = REPORT_S  # time between two reports of an obstacle
     model: str = "right"  # a key of ``MODELS``
@@ -69,9 +66,6 @@ MODELS: dict[str, Callable[[int], Mismatch]] = {"right": lambda _: Mismatch(), "
 def fly(job: Job) -> Flown:
     """Fly one scene."""
     scene = scene_of(job.seed, moving=job.moving)
-    if job.method == "sensors":
-        seen, arrived = full_loop.fly(scene, job.seed)
-        return _flown(scene, seen.track, seen.t_s, 30, seen.unsolved_s, seen.cycles, arrived=arrived)
     vehicle, estimate = scene.vehicle, estimate_at_start(scene)
     near_m = characteristic_scales(vehicle).length_m
     controller = Controller(vehicle, Point(north_m=scene.goal[0], east_m=scene.goal[1]), settings_of(scene.name))
@@ -97,31 +91,17 @@ def fly(job: Job) -> Flown:
             times.append((t_ns + part * CYCLE_NS // PARTS) * 1e-9)
         estimate = as_estimate(end, estimate)
         arrived = math.dist(track[-1], scene.goal) < near_m
-    return _flown(scene, track, times, PARTS, unsolved, cycles, arrived=arrived)
-
-
-def _flown(
-    scene: Scene,
-    track: list[Pair],
-    times_s: list[float],
-    every: int,
-    unsolved_s: list[float],
-    cycles: int,
-    *,
-    arrived: bool,
-) -> Flown:
-    """Return the figures of a flight; of its positions each ``every``-th is kept."""
     points = np.array(track)
-    least, entered = keeps(scene, points, np.array(times_s))
+    least, entered = keeps(scene, points, np.array(times))
     return Flown(
         clearance_m=least,
         entered_m=entered,
         arrived=arrived,
-        duration_s=times_s[-1],
+        duration_s=times[-1],
         way_m=float(np.hypot(*np.diff(points, axis=0).T).sum()),
-        unsolved_s=unsolved_s,
+        unsolved_s=unsolved,
         cycles=cycles,
-        track_m=[(round(n, 3), round(e, 3)) for n, e in track[::every]],
+        track_m=[(round(n, 3), round(e, 3)) for n, e in track[::PARTS]],
     )
 
 

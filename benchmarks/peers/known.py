@@ -12,7 +12,6 @@ FILES = {
     "with_casadi": ("CasadiIpopt", ("casadi",)),
     "with_acados": ("AcadosRti", ("acados", "casadi")),
     "with_do_mpc": ("DoMpcIpopt", ("do_mpc", "casadi")),
-    "with_scipy": ("ScipyLeastSquares", ("scipy",)),
 }
 """File, class, and what it imports."""
 

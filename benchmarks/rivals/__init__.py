@@ -1,1 +1,1 @@
-"""Common control laws that fly beside the controller, and the search by which each is tuned."""
+"""Common control laws that fly beside the controller."""

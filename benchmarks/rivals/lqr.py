@@ -19,28 +19,21 @@ from scipy.interpolate import make_interp_spline
 from scipy.linalg import expm, solve_discrete_are
 
 from benchmarks.rivals.pid import PERIOD_S, nearer_axis
-from benchmarks.rivals.search import Span
 from ltv_mpc.control.prediction import currents_at_depths
 from ltv_mpc.frames import wrap_angle
 from ltv_mpc.messages import Array, Estimate, Pair
 from ltv_mpc.vehicle import dynamics
 from ltv_mpc.vehicle.parameters import Vehicle
 
-SPANS = {
-    "thrust": Span(1e-4, 1.0),  # |F / max|^2 against metres squared
-    "velocity": Span(1e-2, 1e3),  # of u, v
-    "heading": Span(1e-4, 10.0),
-    "yaw_rate": Span(1e-4, 100.0),
-    "sway_mps": Span(0.003, 0.3),
-    "least_mps": Span(0.005, 0.1),
-    "most_m": Span(0.02, 2.0),
-}
 SPEEDS = 40
 """Gains are computed at so many speeds of the water, and taken linearly between them."""
 
 
 class Lqr:
-    """LQR with the weights of ``SPANS``, by name. Raises ``LinAlgError`` for weights without a gain."""
+    """LQR with its weights by name. Raises ``LinAlgError`` for weights without a gain.
+
+    thrust (|F / max|^2 against metres squared), velocity (of u, v), heading, yaw_rate; sway_mps, least_mps, most_m.
+    """
 
     def __init__(self, vehicle: Vehicle, weights: dict[str, float]) -> None:
         self._p = vehicle.coefficients()

@@ -15,7 +15,6 @@ import math
 
 import numpy as np
 
-from benchmarks.rivals.search import Span
 from ltv_mpc.frames import wrap_angle
 from ltv_mpc.messages import Array, Estimate, Pair
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -23,18 +22,12 @@ from ltv_mpc.vehicle.parameters import Vehicle
 PERIOD_S = 0.1
 """Time between two answers of a rival."""
 
-SPANS = {
-    "kp": Span(5.0, 2000.0),  # N/m
-    "kd": Span(5.0, 5000.0),  # N s/m
-    "ki": Span(0.01, 100.0),  # N/(m s)
-    "k_psi": Span(5.0, 1000.0),  # N m/rad
-    "k_r": Span(5.0, 1000.0),  # N m s/rad
-    "hold_N": Span(0.1, 20.0),
-}
-
 
 class Pid:
-    """PID with the gains of ``SPANS``, by name."""
+    """PID with its gains by name.
+
+    kp (N/m), kd (N s/m), ki (N/(m s)), k_psi (N m/rad), k_r (N m s/rad), hold_N.
+    """
 
     def __init__(self, vehicle: Vehicle, gains: dict[str, float]) -> None:
         port, starboard = vehicle.thrusters[:2]

@@ -1,10 +1,9 @@
 """Robustness table: cases of a wrong file and an unkind sea by laws.
 
 python -m benchmarks.robustness [--cases TEXT ...] [--vehicles NAME ...] [--out DIR] [--write]
-python -m benchmarks.robustness --tune     tune the rivals of the vehicles again: gains.toml
 
-A case is KEY=VALUE pairs, "mass=1.3 drag=0.7"; cases.py has the keys. Rivals of a vehicle without gains are tuned
-first. All vehicles and cases take hours: what is in DIR already is not flown again.
+A case is KEY=VALUE pairs, "mass=1.3 drag=0.7"; cases.py has the keys. gains.toml has the gains of the
+rivals. All vehicles and cases take hours: what is in DIR already is not flown again.
 """
 
 from __future__ import annotations
@@ -13,9 +12,9 @@ import argparse
 import tempfile
 from pathlib import Path
 
-from benchmarks.robustness import flights, page, tuning
+from benchmarks.robustness import flights, page
 from benchmarks.robustness.cases import CASES, parsed
-from benchmarks.robustness.laws import LAWS
+from benchmarks.robustness.laws import LAWS, tuned_gains
 from benchmarks.strangers.flight import FOREIGN, SHIPPED
 
 
@@ -31,24 +30,18 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=2, help="processes")
     parser.add_argument("--out", type=Path, metavar="DIR", help="keep the flights; continue those that are there")
     parser.add_argument("--write", action="store_true", help=f"write {page.PAGE}")
-    parser.add_argument("--tune", action="store_true", help="tune the rivals instead")
     options = parser.parse_args()
     vehicles = options.vehicles or page.VEHICLES
-    if options.tune:
-        tuning.tune(vehicles, options.jobs)
-        return
     cases = options.cases or CASES
     try:
         for case in cases:
             parsed(case)
     except ValueError as error:
         parser.error(str(error))
-    if untuned := [vehicle for vehicle in vehicles if "lqr" not in tuning.gains().get(vehicle, {})]:
-        tuning.tune(untuned, options.jobs)
     rows = [flights.Row(vehicle, task, case) for vehicle in vehicles for task in options.tasks for case in cases]
     with tempfile.TemporaryDirectory() as folder:
         out = options.out or Path(folder)
-        found = flights.run(rows, LAWS, tuning.gains(), options.starts, options.jobs, out)
+        found = flights.run(rows, LAWS, tuned_gains(), options.starts, options.jobs, out)
     print(f"{page.table(found)}\n\n{page.summary(found)}")
     if options.write:
         page.PAGE.write_text(page.text(found, options.starts))

@@ -7,8 +7,8 @@ Along a path  chi = course of the leg - atan((e + k_i I) / lookahead),  I' = loo
 e is the distance to starboard of the leg and u the speed over ground ahead. Near the end of a leg the next one is
 followed, and near the end of the path its PID holds that point. Where the course is off by more than a right angle the
 vehicle turns first.
-Source: Borhaug, Pavlov and Pettersen 2008; Fossen 2021, section 12.3. Gains are tuned once a hull, as those of
-``benchmarks/robustness/tuning.py``.
+Source: Borhaug, Pavlov and Pettersen 2008; Fossen 2021, section 12.3. Gains were tuned once a hull: lookahead_m,
+k_i (1/s), k_psi (N m/rad), k_r (N m s/rad), k_u (N s/m), k_ui (N/m).
 """
 
 from __future__ import annotations
@@ -23,19 +23,10 @@ import numpy.typing as npt
 
 from benchmarks.rivals import pid
 from benchmarks.rivals.pid import PERIOD_S
-from benchmarks.rivals.search import Span
 from ltv_mpc.frames import wrap_angle
 from ltv_mpc.messages import Applied, Array, Estimate, Pair
 from ltv_mpc.vehicle.parameters import Vehicle
 
-PATH_SPANS = {
-    "lookahead_m": Span(0.5, 10.0),
-    "k_i": Span(0.001, 1.0),  # 1/s
-    "k_psi": Span(2.0, 500.0),  # N m/rad
-    "k_r": Span(2.0, 500.0),  # N m s/rad
-    "k_u": Span(5.0, 500.0),  # N s/m
-    "k_ui": Span(0.1, 100.0),  # N/m
-}
 SWITCH_M = 1.0
 """Distance from the end of a leg at which the next one begins."""
 

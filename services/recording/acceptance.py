@@ -20,7 +20,7 @@ from ltv_mpc.safety.source_selector import remember
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.message_validation import SHARED
 from services.bus.roles import ANYONE, DISPLAY, ROLES
-from services.bus.sequence_check import FAR_AHEAD, MAX_SILENCE_US, MIN_SILENCE_US, SequenceCheck
+from services.bus.sequence_check import FAR_AHEAD, SequenceCheck, silence_us
 from services.bus.topics import OPERATOR, Topic, topic_at
 from services.bus.wire import Header, WireError, message_at
 from services.recording.loss_accounting import LossAccounting
@@ -84,7 +84,7 @@ class Acceptance:
         single = kind not in SHARED and writer not in MANY_SOURCES
         if single:
             active, at_us = self._writers.get(writer, (epoch, 0))
-            if active != epoch and received_us - at_us < (MAX_SILENCE_US if kind is NodeStatus else MIN_SILENCE_US):
+            if active != epoch and received_us - at_us < silence_us(topic.period_ns):
                 return f"{SECOND_SOURCE}: epoch {epoch} while epoch {active} publishes"
         try:
             self._order.check(f"{key}@{epoch}", header, received_us)
@@ -94,7 +94,10 @@ class Acceptance:
             self._writers[writer] = epoch, received_us
         if topic.written_by == ANYONE and node not in NODES:
             return ""
-        self.losses.add(key, epoch, sequence)
+        # Of a source that is not in use, or not of the process of its name, nothing is missing.
+        in_use = {Estimate: self.source_epoch or epoch, Plan: self._commander or epoch}
+        of_process = epoch if single else self._writers.get(node, (0, 0))[0]
+        self.losses.add(key, epoch, sequence, counts=in_use.get(kind, of_process) == epoch)
         return ""
 
     def take(
@@ -144,7 +147,9 @@ class Acceptance:
             case Clock():
                 self._speed = max(message.speed_num / message.speed_den, 1e-3)
             case ControllerStatus() if message.source_epoch not in (0, self.source_epoch):
-                self._use(message.source_epoch)
+                self.source_epoch, self._monitor = message.source_epoch, InputMonitor()
+                if self._gate is not None:
+                    self._gate.restart()
             case Estimate():
                 if header.epoch != (self.source_epoch or header.epoch) or not self._is_plausible(message, header, t_ns):
                     self.rejected += 1
@@ -163,12 +168,6 @@ class Acceptance:
                 self.rejected -= len(waited)
                 yield from waited
         yield accepted
-
-    def _use(self, epoch: int) -> None:
-        """Follow another source of estimates."""
-        self.source_epoch, self._monitor = epoch, InputMonitor()
-        if self._gate is not None:
-            self._gate.restart()
 
     def _is_plausible(self, estimate: Estimate, header: Header, t_ns: int) -> bool:
         """Return True if the controller would use this estimate of its source."""

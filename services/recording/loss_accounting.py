@@ -64,9 +64,10 @@ class SequenceGaps:
         self._ahead.append(sequence)
         return False
 
-    def mark_lost(self) -> None:
-        """Count a message that was added as missing after all."""
-        self.received -= 1
+    def restart(self) -> None:
+        """Count from the next message on."""
+        self._begins, self.received = self._next, 0
+        self._missing.clear()
 
     @property
     def published(self) -> int:
@@ -122,8 +123,8 @@ class LossAccounting:
         self._processes: dict[int, _Process] = {}  # by epoch, likewise
         self._published = self._missing = 0  # of the sources that are no longer counted separately
 
-    def add(self, key: str, epoch: int, sequence: int) -> None:
-        """Add a recorded message."""
+    def add(self, key: str, epoch: int, sequence: int, *, counts: bool = True) -> None:
+        """Add a recorded message; unless it ``counts``, its source is counted from its next message on."""
         process = self._processes.pop(epoch, None) or _Process(began_before=self._late and sequence > 0)
         self._processes[epoch] = process
         if len(self._processes) > MAX_PROCESSES:
@@ -140,6 +141,8 @@ class LossAccounting:
         before = source.received
         source.add(sequence)
         process.received += source.received - before
+        if not counts:
+            source.restart()
 
     def fill(self, key: str, epoch: int, sequence: int) -> bool:
         """Count a message that was refused as no longer missing. Return True if it was missing."""
@@ -154,7 +157,7 @@ class LossAccounting:
         """Count a message that was added as missing after all."""
         source, process = self._sources.get((key, epoch)), self._processes.get(epoch)
         if source is not None:
-            source.mark_lost()
+            source.received -= 1
         else:
             self._missing += 1
         if process is not None:

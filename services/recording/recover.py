@@ -50,11 +50,8 @@ class Recovery(msgspec.Struct, frozen=True, kw_only=True):
 
 def segments(recording: Path) -> tuple[Path, ...]:
     """Return the recording and the segments of restarted recorders that exist: run.mcap, run.2.mcap, ..."""
-    found: list[tuple[int, Path]] = []
-    for path in recording.parent.glob("*.mcap"):
-        match = _NUMBERED.fullmatch(path.stem)
-        if match is not None and match[1] == recording.stem:
-            found.append((int(match[2]), path))
+    numbered = ((_NUMBERED.fullmatch(path.stem), path) for path in recording.parent.glob("*.mcap"))
+    found = [(int(match[2]), path) for match, path in numbered if match is not None and match[1] == recording.stem]
     return (recording, *(path for _, path in sorted(found)))
 
 

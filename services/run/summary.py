@@ -162,10 +162,9 @@ def _summarise(run_config: RunConfig, recording: Recording) -> Found:
     counts = {node: sum(one.rejected for one in epochs.values()) for node, epochs in statuses.items()}
     rejected = Counter(counts) | reported  # the larger count of each process
     denied, unreadable = rejected.pop(ROUTER, 0), rejected.pop(RECORDER, 0)
-    losses = acceptance.losses
     messages = Messages(
-        published=losses.published,
-        dropped=losses.missing,
+        published=acceptance.losses.published,
+        dropped=acceptance.losses.missing,
         # The recorder rejects again what a reader has rejected, as do we; both matter only for what nobody reads.
         rejected=max(rejected.total(), unreadable, acceptance.rejected),
         denied=denied,

@@ -32,7 +32,7 @@ def test_a_track_through_a_zone_is_a_violation_and_one_beside_it_is_not() -> Non
 
 def test_a_vehicle_with_a_wrong_file_keeps_its_margin() -> None:
     """Heavier, with less drag and thrust than its file; without the growth it enters its margin by 0.23 m."""
-    wrong, right = (fly(Job(39, "fence", False, model=model)) for model in ("heavy", "right"))
+    wrong, right = (fly(Job(39, False, model=model)) for model in ("heavy", "right"))
     assert wrong.arrived
     assert wrong.entered_m < 0.1
     assert right.arrived
@@ -43,7 +43,7 @@ def test_a_vehicle_with_a_wrong_file_keeps_its_margin() -> None:
 
 def test_an_obstacle_that_is_reported_every_2_or_10_s_is_kept_clear_of() -> None:
     """AIS has such rates; the ways differ, because the uncertainty has grown less where reports are frequent."""
-    often, rare = (fly(Job(0, "fence", True, report_s)) for report_s in (2.0, 10.0))
+    often, rare = (fly(Job(0, True, report_s)) for report_s in (2.0, 10.0))
     assert often.clearance_m > 0.0
     assert rare.clearance_m > 0.0
     assert often.arrived

@@ -7,10 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from benchmarks.robustness import tuning
 from benchmarks.robustness.cases import RIGHT, conditions
 from benchmarks.robustness.flights import Job, Row, judged
-from benchmarks.robustness.laws import DEFAULT, LQR
+from benchmarks.robustness.laws import DEFAULT, LQR, tuned_gains
 from benchmarks.strangers.flight import Conditions, fly, load
 
 WORSE = 1.3
@@ -78,7 +77,7 @@ def test_waves_carry_the_plant() -> None:
 )
 def test_lqr_flies_well_so_that_the_comparison_proves_something(vehicle: str, task: str, most_m: float) -> None:
     """For PID it is tests/strangers/test_flights.py."""
-    found = judged(Job(Row(vehicle, task, RIGHT), LQR, 1, tuning.gains()[vehicle]))
+    found = judged(Job(Row(vehicle, task, RIGHT), LQR, 1, tuned_gains()[vehicle]))
     assert found.mean_m < most_m
     assert math.isfinite(found.arrival_s)
 

@@ -29,8 +29,11 @@ REJECTED = RejectedFrame(t_ns=0, node="estimator", key="plan", reason="range", c
 
 
 def frame(key: str, message: Message, *, epoch: int = STRANGER, sequence: int = 0, **changed: Any) -> Frame:
-    plain = wire.to_map(message, Header(epoch=epoch, sequence=sequence)) | changed
-    return key, type(message), plain
+    return key, type(message), wire.to_map(message, Header(epoch=epoch, sequence=sequence)) | changed
+
+
+def event(t_ns: int, node: str, kind: str = "") -> Message:
+    return RunEvent(t_ns=t_ns, node=node, kind=kind, text="")
 
 
 def far(t_ns: int) -> Message:
@@ -40,11 +43,12 @@ def far(t_ns: int) -> Message:
 Attack = Callable[[int, int], list[Frame]]
 ATTACKS: dict[str, Attack] = {
     "a huge sequence number": lambda t, k: [frame("applied", made.applied(t), epoch=made.EPOCH, sequence=2**50 + k)],
-    "a huge first sequence number": lambda t, _: [frame("sensor/usbl", made.clock(t), sequence=2**50, kind=0)],
-    "a huge sequence number of a source of events": lambda t, k: [
-        frame("event/x", RunEvent(t_ns=t, node="x", kind="fault", text=""), epoch=STRANGER + k, sequence=2**50)
+    "huge first sequence numbers": lambda t, k: [
+        frame("sensor/usbl", made.clock(t), sequence=2**50, kind=0),
+        frame("event/x", event(t, "x", "fault"), epoch=STRANGER + k, sequence=2**50),
     ],
     "estimates of a second source": lambda t, k: [frame("estimate", far(t), sequence=k)],
+    "estimates of many starts": lambda t, k: [frame("estimate", far(t), epoch=STRANGER + k, sequence=10)],
     "estimates of a named source": lambda t, k: [frame("estimate/other", far(t), sequence=k)],
     "plans of a second controller": lambda t, k: [frame("plan", made.plan(t), sequence=k)],
     "replayed reports of the actuators": lambda t, k: [
@@ -54,20 +58,20 @@ ATTACKS: dict[str, Attack] = {
     "false truths": lambda _, k: [frame("world/truth", made.truth(0), sequence=k)],
     "a false clock": lambda t, k: [frame("clock", made.clock(t, speed=1), sequence=k)],
     "a false fence": lambda t, k: [frame("fence", made.fence(t), sequence=k)],
-    "statuses of other starts": lambda _, k: [
-        frame("status/sensors", status("sensors", rejected=10**12), epoch=STRANGER + k)
-    ],
-    "statuses of a program beside the run": lambda _, k: [
-        frame("status/operator", status("operator", rejected=10**12), sequence=k)
+    "statuses of other starts and of a program beside the run": lambda _, k: [
+        frame("status/sensors", status("sensors", rejected=10**12), epoch=STRANGER + k),
+        frame("status/operator", status("operator", rejected=10**12), sequence=k),
     ],
     "statuses, events and rejections under another name": lambda t, k: [
         frame("status/x", status("sensors", rejected=10**12), sequence=k),
-        frame("event/x", RunEvent(t_ns=t, node="supervisor", kind="fault", text=""), sequence=k),
+        frame("event/x", event(t, "supervisor", "fault"), sequence=k),
         frame("rejected/x", REJECTED, sequence=k),
     ],
     "messages of a program beside the run, of which some are missing": lambda t, k: [
-        frame(f"event/{node}", RunEvent(t_ns=t, node=node, kind="", text=""), sequence=2 * k)
-        for node in ("x", "display")
+        frame(f"event/{node}", event(t, node), sequence=2 * k) for node in ("x", "display")
+    ],
+    "messages under the name of a process, of which some are missing": lambda t, k: [
+        frame(f"event/{node}", event(t, node), epoch=STRANGER + k, sequence=10) for node in ("sensors", "ros2")
     ],
     "a frame without a message": lambda *_: [
         (key, kind, {"epoch": 5, "sequence": 0})
@@ -83,8 +87,7 @@ def messages() -> Iterator[tuple[str, Message, int]]:
     for node, message, t_ns in made.dive(6.0):
         yield node, message, t_ns
         if t_ns % (5 * S) == 0:  # 0.5 s at ten times real time
-            for process in ("sensors", "recorder"):
-                yield process, status(process, rejected=1), t_ns
+            yield from ((process, status(process, rejected=1), t_ns) for process in ("sensors", "recorder"))
 
 
 def record(path: Path, attack: Attack | None = None) -> Path:

@@ -50,8 +50,8 @@ def summary(tmp_path: Path) -> Summary:
             ("estimator", ESTIMATE, 13, 0),
             ("sensors", DEPTH, 14, 0),
             ("sensors", rejecting("sensors", 4), 14, 0),  # whose messages about it were lost
-            ("recorder", replace(REJECTED, node="recorder"), 17, 0),  # the estimator's, once more
             ("recorder", rejecting("recorder", 3), 17, 0),
+            ("recorder", replace(REJECTED, node="recorder"), 17, 0),  # the estimator's, once more
             ("router", rejecting("router", 30_000), 15, 0),
             ("router", rejecting("router", 39_000), 15, 1),
             ("router", rejecting("router", 786), 16, 0),  # restarted
