@@ -16,9 +16,6 @@ from ltv_mpc.vehicle.parameters import Vehicle
 VEHICLE = Vehicle.load("paper")  # +-62.5 N
 S = 1_000_000_000
 
-PATHS = [path for length in range(6) for path in product(Action, repeat=length)]
-
-
 AFTER = {
     "disarmed": {"arm": "controller", "stop": "stopped", "manual": "", "release": ""},
     "controller": {"disarm": "disarmed", "stop": "stopped", "manual": "manual", "release": ""},
@@ -28,8 +25,8 @@ AFTER = {
 """State after an action by the state before it; empty: refused. All other actions leave the state as it is."""
 
 
-def test_every_path_of_five_actions_leads_to_its_state():
-    for path in PATHS:
+def test_every_path_of_four_actions_leads_to_its_state():
+    for path in product(Action, repeat=4):
         arbiter, authority = CommandArbiter(VEHICLE), "disarmed"
         for action in path:
             after = AFTER[authority].get(action.value, authority)

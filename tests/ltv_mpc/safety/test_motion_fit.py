@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 
-import msgspec
 import numpy as np
 import pytest
 
 from ltv_mpc.messages import Estimate
-from ltv_mpc.safety.motion_fit import ARM, DELAY, MODEL, MotionFit
+from ltv_mpc.safety.motion_fit import ARM, DELAY, KEPT_S, MODEL, MotionFit, ThrustImpulse
 from ltv_mpc.vehicle.dynamics import rates
 from ltv_mpc.vehicle.parameters import Vehicle
+from tests.ltv_mpc.estimates import moving
 from tests.ltv_mpc.vehicles import off_by
 
 VEHICLE = Vehicle.load("bluerobotics-boat")
@@ -64,11 +64,8 @@ def fitted(
 def estimate(t_s: float, state, arm_m: float = 0.0) -> Estimate:
     """Return the estimate of a state (n', e', psi, r) of a point ahead of the origin."""
     north, east, psi, r = state.tolist()
-    velocity = {
-        "velocity_north_mps": north - r * arm_m * math.sin(psi),
-        "velocity_east_mps": east + r * arm_m * math.cos(psi),
-    }
-    return msgspec.structs.replace(Estimate.at_rest(), t_ns=ns(t_s), heading_rad=psi, yaw_rate_radps=r, **velocity)
+    velocity_mps = north - r * arm_m * math.sin(psi), east + r * arm_m * math.cos(psi)
+    return moving(velocity_mps, t_ns=ns(t_s), heading_rad=psi, yaw_rate_radps=r)
 
 
 WRONG = {"mass": 2.0, "drag": 0.5}
@@ -133,3 +130,42 @@ def test_the_delay_ends_after_the_stamps_are_mended_and_a_clock_that_is_set_back
         fit.add_thrust(ns(t[k]), (*thrust[k].tolist(), 0.0))
         fit.update(estimate(t[k], states[max(k - 50, 0)]))
     assert fit.x[DELAY] == pytest.approx(0.5, abs=0.1)
+
+
+# --- impulse of the reported thrusts ---
+
+S = 1_000_000_000
+KEPT_NS = round(KEPT_S * S)
+
+
+def test_the_impulse_is_the_integral_of_thrusts_that_are_linear_between_reports():
+    impulse = ThrustImpulse()
+    for t_s, thrust in ((0, (0.0, 4.0)), (1, (2.0, 4.0)), (3, (2.0, -4.0))):
+        impulse.add(t_s * S, [*thrust, 0.0])
+    assert impulse.until(S // 2) == pytest.approx((0.25, 2.0))
+    assert impulse.until(2 * S) == pytest.approx((3.0, 6.0))
+    assert impulse.until(4 * S) == pytest.approx((7.0, 0.0))  # constant after the last report
+
+
+def test_before_the_first_report_the_impulse_is_unknown():
+    impulse = ThrustImpulse()
+    assert impulse.until(0) is None
+    impulse.add(S, [1.0, 1.0, 0.0])
+    assert impulse.until(S - 1) is None
+
+
+@pytest.mark.parametrize("period_ns", [5_000_000, S // 10, 2 * S])
+def test_reports_are_kept_by_their_age_and_not_by_their_number(period_ns):
+    impulse, count = ThrustImpulse(), 10 * S // period_ns
+    for k in range(count + 1):
+        impulse.add(k * period_ns, [3.0, -1.0, 0.0])
+    newest_ns = count * period_ns
+    assert impulse.until(newest_ns - KEPT_NS) == pytest.approx((15.0, -5.0))
+    assert impulse.until(newest_ns - KEPT_NS - 2 * period_ns - S) is None
+
+
+def test_a_repeated_report_changes_nothing():
+    impulse = ThrustImpulse()
+    for _ in range(3):
+        impulse.add(0, [1.0, 1.0, 0.0])
+    assert impulse.until(S) == (1.0, 1.0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from ltv_mpc.messages import Plan
@@ -20,6 +20,14 @@ STAGE_NS = 300_000_000
 S = 1_000_000_000
 
 
+@pytest.fixture
+def gate() -> PlanGate:
+    """Return a gate whose thrusters are at rest at the time 0."""
+    made = PlanGate(VEHICLE)
+    made.command_at(0)
+    return made
+
+
 def constant(start_ns: int, *thrust: float, knots: int = 5) -> Plan:
     return plan(start_ns, [thrust] * knots)
 
@@ -28,9 +36,7 @@ def commands(gate: PlanGate, from_ns: int, until_ns: int) -> np.ndarray:
     return np.array([gate.command_at(t) for t in range(from_ns, until_ns + 1, STEP_NS)])
 
 
-def test_a_plan_that_starts_at_the_command_in_force_is_followed_exactly():
-    gate = PlanGate(VEHICLE)
-    gate.command_at(0)
+def test_a_plan_that_starts_at_the_command_in_force_is_followed_exactly(gate):
     followed = plan(0, [[0, 0, 0], [30, -30, 20], [60, -30, 20], [31, 0, 50]])
     assert gate.offer(followed, 1, 0, 0) is PlanVerdict.ACCEPTED
     for t in range(0, 900_000_001, STEP_NS):
@@ -39,18 +45,14 @@ def test_a_plan_that_starts_at_the_command_in_force_is_followed_exactly():
         gate.command_at(0)
 
 
-def test_the_plan_before_stays_in_force_until_the_next_one_starts():
-    gate = PlanGate(VEHICLE)
-    gate.command_at(0)
+def test_the_plan_before_stays_in_force_until_the_next_one_starts(gate):
     gate.offer(plan(0, [[0, 0, 0], [30, 30, 30], [60, 60, 60]]), 1, 0, 0)
     gate.offer(plan(450_000_000, [[45, 45, 45], [45, 45, 45]]), 1, 1, 100_000_000)
     assert gate.command_at(440_000_000) == pytest.approx([44, 44, 44])
     assert gate.command_at(500_000_000) == pytest.approx([45, 45, 45])
 
 
-def test_a_future_plan_is_replaced_by_a_newer_one_that_starts_no_later():
-    gate = PlanGate(VEHICLE)
-    gate.command_at(0)
+def test_a_future_plan_is_replaced_by_a_newer_one_that_starts_no_later(gate):
     gate.offer(constant(0, 5.0, 5.0, 5.0, knots=30), 1, 0, 0)
     gate.offer(constant(3 * S, 50.0, 50.0, 50.0), 1, 1, 0)
     gate.offer(constant(1 * S, 10.0, 10.0, 10.0, knots=20), 1, 2, 0)
@@ -60,9 +62,7 @@ def test_a_future_plan_is_replaced_by_a_newer_one_that_starts_no_later():
     assert commands(gate, 2 * S, 4 * S)[-1].tolist() == [10.0, 10.0, 10.0]
 
 
-def test_a_late_plan_is_counted_and_approached_at_the_slew_limit():
-    gate = PlanGate(VEHICLE)
-    gate.command_at(0)
+def test_a_late_plan_is_counted_and_approached_at_the_slew_limit(gate):
     late = plan(0, [[0, 0, 0], [30, 30, 0], [60, 60, 0], [60, 60, 0], [60, 60, 0]])
     gate.command_at(400_000_000)
     assert gate.offer(late, 1, 0, 400_000_000) is PlanVerdict.LATE
@@ -73,15 +73,12 @@ def test_a_late_plan_is_counted_and_approached_at_the_slew_limit():
     assert rows[0, 0] == pytest.approx(1.0)
 
 
-def test_a_plan_that_arrives_at_its_start_is_not_late():
-    gate = PlanGate(VEHICLE)
+def test_a_plan_that_arrives_at_its_start_is_not_late(gate):
     assert gate.offer(constant(S, 0.0, 0.0, 0.0), 1, 0, S) is PlanVerdict.ACCEPTED
     assert gate.offer(constant(S, 0.0, 0.0, 0.0), 1, 1, S + 1) is PlanVerdict.LATE
 
 
-def test_a_plan_that_has_ended_does_not_replace_the_one_in_force():
-    gate = PlanGate(VEHICLE)
-    gate.command_at(0)
+def test_a_plan_that_has_ended_does_not_replace_the_one_in_force(gate):
     gate.offer(constant(0, 0.0, 0.0, 30.0, knots=50), 1, 0, 0)
     ended = constant(3 * S, 9.0, 9.0, 9.0, knots=5)  # until 4.2 s
     assert gate.offer(ended, 1, 1, round(4.2 * S)) is PlanVerdict.LATE
@@ -91,8 +88,7 @@ def test_a_plan_that_has_ended_does_not_replace_the_one_in_force():
     assert gate.plans_rejected == 1
 
 
-def test_plans_out_of_order_are_rejected():
-    gate = PlanGate(VEHICLE)
+def test_plans_out_of_order_are_rejected(gate):
     verdicts = [gate.offer(constant(0, 1.0, 1.0, 1.0), 7, k, 0) for k in (4, 4, 3, 5)]
     assert verdicts == [PlanVerdict.ACCEPTED, PlanVerdict.OUT_OF_ORDER, PlanVerdict.OUT_OF_ORDER, PlanVerdict.ACCEPTED]
     assert gate.plans_rejected == 2
@@ -119,8 +115,7 @@ def test_without_a_new_plan_the_thrusters_go_to_rest_however_long_the_plan_is(ti
     assert gate.command_at(end + S) == (0.0, 0.0, -20.0)
 
 
-def test_the_period_of_a_former_commander_does_not_lengthen_a_plan():
-    gate = PlanGate(VEHICLE)
+def test_the_period_of_a_former_commander_does_not_lengthen_a_plan(gate):
     last = commanded(gate, 7, 20 * S, period_ns=4 * S, thrust=50.0, knots=LONG)
     begin = last + 11 * S
     gate.command_at(begin)
@@ -142,8 +137,7 @@ def commanded(
     return t
 
 
-def test_two_commanders_do_not_alternate_and_the_seconds_plans_are_rejected():
-    gate = PlanGate(VEHICLE)
+def test_two_commanders_do_not_alternate_and_the_seconds_plans_are_rejected(gate):
     for k in range(20):
         t = k * STAGE_NS
         gate.offer(constant(t, 5.0, 5.0, 5.0, knots=18), 7, k, t)
@@ -155,9 +149,8 @@ def test_two_commanders_do_not_alternate_and_the_seconds_plans_are_rejected():
 
 
 @pytest.mark.parametrize(("period_s", "silence_s"), [(0.1, 0.5), (0.3, 0.75), (0.71, 1.775)])
-def test_a_commander_is_replaced_once_two_replacements_of_its_plan_are_missing(period_s, silence_s):
+def test_a_commander_is_replaced_once_two_replacements_of_its_plan_are_missing(period_s, silence_s, gate):
     period_ns, silence_ns = round(period_s * 1e9), round(silence_s * 1e9)
-    gate = PlanGate(VEHICLE)
     last = commanded(gate, 7, 5 * S, period_ns=period_ns)
     assert gate.health(last + silence_ns) == "nominal"
     early = constant(last + silence_ns, 20.0, 20.0, 20.0)
@@ -170,16 +163,14 @@ def test_a_commander_is_replaced_once_two_replacements_of_its_plan_are_missing(p
     assert gate.plans_rejected == 2
 
 
-def test_after_the_end_of_its_plan_a_commander_is_replaced_at_once():
-    gate = PlanGate(VEHICLE)
+def test_after_the_end_of_its_plan_a_commander_is_replaced_at_once(gate):
     gate.offer(constant(0, 1.0, 1.0, 1.0, knots=2), 7, 0, 0)
     assert gate.health(STAGE_NS) == "nominal"
     assert gate.health(STAGE_NS + 1) == "failsafe"
     assert gate.offer(constant(STAGE_NS + 1, 1.0, 1.0, 1.0), 9, 0, STAGE_NS + 1) is PlanVerdict.ACCEPTED
 
 
-def test_a_commander_whose_plans_are_rejected_is_replaced():
-    gate = PlanGate(VEHICLE)
+def test_a_commander_whose_plans_are_rejected_is_replaced(gate):
     last = commanded(gate, 7, 3 * S)
     for k in range(8):
         gate.offer(constant(last + k * 100_000_000, 99.0, 0.0, 0.0), 7, 100 + k, last + k * 100_000_000)
@@ -187,8 +178,7 @@ def test_a_commander_whose_plans_are_rejected_is_replaced():
     assert gate.offer(constant(at, 10.0, 10.0, 10.0), 9, 0, at) is PlanVerdict.ACCEPTED
 
 
-def test_old_frames_of_a_commander_that_was_replaced_are_never_followed_again():
-    gate = PlanGate(VEHICLE)
+def test_old_frames_of_a_commander_that_was_replaced_are_never_followed_again(gate):
     last = commanded(gate, 7, 3 * S)
     gate.offer(constant(last + S, 1.0, 1.0, 1.0), 9, 0, last + S)
     assert gate.offer(constant(last + 9 * S, 1.0, 1.0, 1.0), 7, 3, last + 9 * S) is PlanVerdict.OUT_OF_ORDER
@@ -208,9 +198,7 @@ def test_old_frames_of_a_commander_that_was_replaced_are_never_followed_again():
         ([[0, 0, 31], [0, 0, 0]], PlanVerdict.OUTSIDE_SLEW),
     ],
 )
-def test_a_plan_outside_box_or_slew_is_rejected_and_nothing_changes(thrust, verdict):
-    gate = PlanGate(VEHICLE)
-    gate.command_at(0)
+def test_a_plan_outside_box_or_slew_is_rejected_and_nothing_changes(thrust, verdict, gate):
     gate.offer(constant(0, 20.0, 20.0, 20.0, knots=20), 1, 0, 0)
     commands(gate, 0, S)
     assert gate.offer(plan(S, thrust), 1, 1, S) is verdict
@@ -221,17 +209,14 @@ def test_a_plan_outside_box_or_slew_is_rejected_and_nothing_changes(thrust, verd
         assert gate.offer(constant(2 * S, 20.0, 20.0, 20.0), 1, 1, 2 * S) is PlanVerdict.ACCEPTED
 
 
-def test_the_memory_of_commanders_is_bounded():
-    gate = PlanGate(VEHICLE)
+def test_the_memory_of_commanders_is_bounded(gate):
     for epoch in range(1000):
         at = epoch * 10 * S
         assert gate.offer(constant(at, 0.0, 0.0, 0.0), epoch, 5, at) is PlanVerdict.ACCEPTED
     assert len(gate._last_sequence) == MAX_CANDIDATES
 
 
-def test_what_rounding_adds_to_a_plan_does_not_reach_the_command():
-    gate = PlanGate(VEHICLE)
-    gate.command_at(0)
+def test_what_rounding_adds_to_a_plan_does_not_reach_the_command(gate):
     gate.offer(constant(0, 62.5 + 1e-7, -62.5 - 1e-7, 62.5), 1, 0, 0)
     assert commands(gate, 0, S)[-1].tolist() == [62.5, -62.5, 62.5]
 
@@ -240,7 +225,6 @@ thrusts = st.lists(st.tuples(*[st.floats(-70, 70)] * 3), min_size=2, max_size=6)
 offers = st.lists(st.tuples(st.integers(-300, 600), thrusts, st.integers(0, 2)), min_size=1, max_size=8)
 
 
-@settings(max_examples=150, deadline=None)
 @given(offers)
 def test_no_command_leaves_box_or_slew_limit_for_any_sequence_of_plans(sequence):
     gate = PlanGate(VEHICLE)
