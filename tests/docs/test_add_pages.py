@@ -215,17 +215,17 @@ assert SPEED in PLOTS and axes.get_ylabel() == "speed (m/s)" and len(axes.lines)
 """Program for each page; it fails if the example does not work."""
 
 
-ALONE = ("docs/add-cost-term.md", "docs/edges.md")
-"""Pages that need another compiler, or change the same files as another one."""
+WITHOUT_COMPILER = ("docs/add-cost-term.md", "docs/edges.md")
+"""Pages that are tried in one process, the first of which turns the compiler off."""
 
-TOGETHER = tuple(page for page in OF_EACH if page not in ALONE)
-"""Pages that are tried in one process."""
+COMPILED = tuple(page for page in OF_EACH if page not in WITHOUT_COMPILER)
+"""Pages that are tried in another process: docs/edges.md and docs/add-command.md change the same line."""
 
 ELSEWHERE = ("docs/add-sensor.md", "docs/add-limit.md")
 """Pages whose example has tests above, or is run by test_blocks.py as it stands."""
 
 
-@pytest.mark.parametrize("pages", [TOGETHER, *((page,) for page in ALONE)], ids=["together", *ALONE])
+@pytest.mark.parametrize("pages", [COMPILED, WITHOUT_COMPILER], ids=["compiled", "without compiler"])
 def test_the_example_of_the_page_works(pages: Collection[str], tmp_path: Path) -> None:
     for page in pages:
         build(page, tmp_path)

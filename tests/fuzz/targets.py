@@ -25,7 +25,7 @@ from mcap.writer import Writer
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 from scipy.sparse import csc_array, eye_array
 
-from ltv_mpc import references
+from ltv_mpc import messages, references
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.failed_qp import ConstraintRow, NamedQp
 from ltv_mpc.control.node import ControllerNode
@@ -36,19 +36,6 @@ from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.pd0 import reader as pd0_reader
 from ltv_mpc.localisation.pd0.beams import to_beams
 from ltv_mpc.localisation.sensor_config import SensorConfig
-from ltv_mpc.messages import (
-    AdcpPing,
-    BottomTrack,
-    Clock,
-    Command,
-    CurrentProfile,
-    Estimate,
-    Message,
-    Obstacles,
-    Plan,
-    Solve,
-    SolveStatus,
-)
 from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.validation import rejection_reason
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -117,37 +104,37 @@ def finite(value: object) -> None:
 # --- the bus ---------------------------------------------------------------------------------------------------------
 
 
-def signal_is_sound(signal: Message) -> None:
+def signal_is_sound(signal: messages.Message) -> None:
     """Check that a message is finite and its lengths match. Only beams may be NaN, which means no return."""
     match signal:
-        case AdcpPing():
+        case messages.AdcpPing():
             assert signal.beam_velocity_mps.shape == (4, len(signal.range_m))
-        case BottomTrack():
+        case messages.BottomTrack():
             assert signal.range_m.shape == signal.beam_velocity_mps.shape == (4,)
-        case Plan():
+        case messages.Plan():
             knots = len(signal.t_ns)
             assert knots >= 2
             assert signal.thrust_N.shape == (knots, 3)
             assert signal.states.shape == (knots, 6)
             assert (np.diff(signal.t_ns) > 0).all()
-        case Estimate():
+        case messages.Estimate():
             if signal.covariance is not None:
                 assert signal.covariance.shape == (6, 6)
             if signal.current is not None:
                 profile_is_sound(signal.current)
-    if isinstance(signal, AdcpPing | BottomTrack):
+    if isinstance(signal, messages.AdcpPing | messages.BottomTrack):
         assert all(not math.isinf(x) for x in numbers(signal))
         finite(signal.t_ns)
     else:
         finite(signal)
 
 
-def signals_are_sound(signals: Sequence[Message]) -> None:
+def signals_are_sound(signals: Sequence[messages.Message]) -> None:
     for signal in signals:
         signal_is_sound(signal)
 
 
-def profile_is_sound(profile: CurrentProfile) -> None:
+def profile_is_sound(profile: messages.CurrentProfile) -> None:
     shape = (len(profile.depth_m),)
     assert shape != (0,)
     assert profile.north_mps.shape == profile.east_mps.shape == shape
@@ -169,7 +156,7 @@ def hostile_frame(rng: Random, message: dict[str, Any]) -> bytes:
     )
 
 
-def of_plant(example: Message) -> dict[str, Any]:
+def of_plant(example: messages.Message) -> dict[str, Any]:
     """Return the map of a message, from the plant if every node may publish it."""
     return to_map(example, HEADER) | ({"node": "plant"} if topics.BY_TYPE[type(example)].written_by == "*" else {})
 
@@ -177,7 +164,7 @@ def of_plant(example: Message) -> dict[str, Any]:
 def door_of(topic: topics.Topic) -> Target:
     """Return the target of one key: message validation of decoding, bounds and order."""
     key = topics.key_of(topic.message_type, "plant")
-    messages = [of_plant(example) for example in EXAMPLES if type(example) is topic.message_type]
+    seeds = [of_plant(example) for example in EXAMPLES if type(example) is topic.message_type]
 
     def take(frame: bytes) -> Any:
         try:
@@ -185,7 +172,7 @@ def door_of(topic: topics.Topic) -> Target:
         except WireError:
             return None
 
-    return Target(f"wire {key}", 3, lambda rng: hostile_frame(rng, rng.choice(messages)), take, signal_is_sound)
+    return Target(f"wire {key}", 3, lambda rng: hostile_frame(rng, rng.choice(seeds)), take, signal_is_sound)
 
 
 SQUARE_FENCE = (
@@ -198,10 +185,10 @@ SQUARE_FENCE = (
 def ros2() -> Target:
     """Target: the edge to ROS 2, all topics and services: a frame gives messages that are sound, or is counted."""
     edge = Ros2Edge(1, Ros2Settings(vehicle=Vehicle.load("paper")))
-    edge.take(next(message for message in EXAMPLES if isinstance(message, Plan)), 0)
+    edge.take(next(message for message in EXAMPLES if isinstance(message, messages.Plan)), 0)
     seeds = {row.name: cdr.encode(ros2_example(row.ros_type)) for row in TABLE if row.direction is not OUT}
     seeds["odometry"] = odometry(position=(1.0, 2.0, -3.0), frame="a" * 40, pose_covariance=np.eye(6))
-    reported = next(message for message in EXAMPLES if isinstance(message, Obstacles))
+    reported = next(message for message in EXAMPLES if isinstance(message, messages.Obstacles))
     text = msgspec.json.encode(reported).decode()
     seeds["obstacles"] = cdr.encode(cdr.make("std_msgs/msg/String", data=text))
     doubles = (math.nan, math.inf, -math.inf, 1e308, 5e-324, 1e10, -1.0)
@@ -384,8 +371,8 @@ def new_mavlink_edge() -> MavlinkEdge:
 
 def vehicle_clock() -> Target:
     """Target: the vehicle clock of a process, with clock messages of any sender."""
-    topic = topics.BY_TYPE[Clock]
-    example = next(e for e in EXAMPLES if isinstance(e, Clock))
+    topic = topics.BY_TYPE[messages.Clock]
+    example = next(e for e in EXAMPLES if isinstance(e, messages.Clock))
     message = to_map(msgspec.structs.replace(example, host_boot_id=boot_id()), HEADER)
 
     def take(frame: bytes) -> Any:
@@ -393,7 +380,7 @@ def vehicle_clock() -> Target:
         try:
             for data in (mutate.packed(message, Random(0)), frame):
                 signal, _ = MessageValidator().validate(Frame(topic, "clock", data, 0))
-                assert isinstance(signal, Clock)
+                assert isinstance(signal, messages.Clock)
                 clock.follow(msgspec.structs.replace(signal, clock_sequence=signal.clock_sequence + (data is frame)))
         except (WireError, ClockError):
             return None
@@ -410,7 +397,7 @@ def command() -> Target:
     """Target: a controller that receives commands: its reply, and sometimes its next plan."""
     node = ControllerNode(Vehicle.load("paper"), references.Hold(), ControllerConfig(horizon_s=1.5))
     seeds = [*texts("ltv_mpc/references/files", "examples/references"), TIMED_INLINE]
-    example = next(e for e in EXAMPLES if isinstance(e, Command))
+    example = next(e for e in EXAMPLES if isinstance(e, messages.Command))
     times = itertools.count(1)
 
     def take(toml: bytes) -> Any:
@@ -424,11 +411,11 @@ def command() -> Target:
         t_ns = count * 300_000_000
         inbox = [ReceivedMessage(told, 1, count, t_ns)]
         if count % 50 == 0:
-            here = msgspec.structs.replace(Estimate.at_rest(depth_m=5.0), t_ns=t_ns)
+            here = msgspec.structs.replace(messages.Estimate.at_rest(depth_m=5.0), t_ns=t_ns)
             inbox.append(ReceivedMessage(here, 1, count, t_ns))
         return node.step(t_ns, inbox)
 
-    def check(said: Sequence[Message]) -> None:
+    def check(said: Sequence[messages.Message]) -> None:
         signals_are_sound(said)
         assert not any(map(rejection_reason, said))
 
@@ -579,9 +566,8 @@ def failed_qp() -> Target:
     """Target: a saved QP."""
     unit = csc_array(eye_array(2))
     qp = QP(unit, np.array([-1.0, -1.0]), unit, np.zeros(2), np.full(2, 0.5))
-    failed = NamedQp(
-        qp, (ConstraintRow("slew", 1.0, "N"), ConstraintRow("box", 2.0, "N")), Solve(status=SolveStatus.INFEASIBLE)
-    )
+    rows = ConstraintRow("slew", 1.0, "N"), ConstraintRow("box", 2.0, "N")
+    failed = NamedQp(qp, rows, messages.Solve(status=messages.SolveStatus.INFEASIBLE))
     place = Path(WORKSHOP.name) / "seed.qp"
     failed.save(place)
     seed = place.read_bytes()

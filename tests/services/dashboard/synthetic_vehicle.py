@@ -13,18 +13,7 @@ from typing import Any, TypeVar
 import uvicorn
 from msgspec.structs import replace
 
-from ltv_mpc.messages import (
-    Acknowledgement,
-    Authority,
-    Clock,
-    ClockCommand,
-    ClockState,
-    Command,
-    Disturbance,
-    Heartbeat,
-    Kill,
-    Message,
-)
+from ltv_mpc import messages
 from services.bus.mailbox import Mailbox
 from services.bus.options import BusOptions
 from services.bus.session import Session, open_session
@@ -42,7 +31,7 @@ from tests.services.reporting.synthetic_run import EPOCH, NODES, S
 from tests.services.words import status
 from tests.waiting import until
 
-K = TypeVar("K", bound=Message)
+K = TypeVar("K", bound=messages.Message)
 
 SPEED = 10
 
@@ -51,12 +40,12 @@ class SyntheticVehicle:
     """Publisher of the dive of ``synthetic_run`` at ten times real time; it obeys clock commands and commands."""
 
     def __init__(self, session: Session) -> None:
-        self.received: list[Message] = []
+        self.received: list[messages.Message] = []
         self.clock_epoch = EPOCH
         self.finished = False
         """True once the plant has finished, as at the end of a run."""
         self._box = Mailbox()
-        for kind in (Command, ClockCommand, Disturbance, Heartbeat, Kill):
+        for kind in (messages.Command, messages.ClockCommand, messages.Disturbance, messages.Heartbeat, messages.Kill):
             session.subscribe(BY_TYPE[kind].key, BY_TYPE[kind], self._box)
         self._out = synthetic_run.outboxes(session)
         self._clock = synthetic_run.clock(-S)
@@ -68,7 +57,7 @@ class SyntheticVehicle:
         self._stop.set()
         self._thread.join()
 
-    def publish(self, node: str, signal: Message) -> None:
+    def publish(self, node: str, signal: messages.Message) -> None:
         self._out[node].publish(signal)
 
     def received_of(self, kind: type[K]) -> list[K]:
@@ -77,9 +66,9 @@ class SyntheticVehicle:
     def restart(self) -> None:
         """Start another run at the same vehicle time: only the epoch of the clock changes."""
         self.clock_epoch += 1
-        self.announce(vehicle_ns=self._now_ns(), state=ClockState.RUNNING, speed=SPEED)
+        self.announce(vehicle_ns=self._now_ns(), state=messages.ClockState.RUNNING, speed=SPEED)
 
-    def announce(self, *, vehicle_ns: int, state: ClockState, speed: float) -> None:
+    def announce(self, *, vehicle_ns: int, state: messages.ClockState, speed: float) -> None:
         num, den = fraction_of(speed).as_integer_ratio()
         self._clock = replace(
             self._clock,
@@ -94,7 +83,7 @@ class SyntheticVehicle:
         )
 
     def _go(self) -> None:
-        self.announce(vehicle_ns=-S, state=ClockState.RUNNING, speed=SPEED)
+        self.announce(vehicle_ns=-S, state=messages.ClockState.RUNNING, speed=SPEED)
         dive = synthetic_run.dive(10_000.0)
         waiting = next(dive)
         turn = 0
@@ -107,13 +96,13 @@ class SyntheticVehicle:
                     self.publish(node, status(node, t_ns=self._now_ns(), finished=finished))
             self.publish("plant", self._clock)
             while waiting[2] <= self._now_ns():
-                if not isinstance(waiting[1], Clock):
+                if not isinstance(waiting[1], messages.Clock):
                     self.publish(waiting[0], waiting[1])
                 waiting = next(dive)
 
     def _now_ns(self) -> int:
         clock = self._clock
-        if clock.state is not ClockState.RUNNING:
+        if clock.state is not messages.ClockState.RUNNING:
             return clock.vehicle_ns
         return clock.vehicle_ns + (monotonic_us() - clock.at_monotonic_us) * 1000 * clock.speed_num // clock.speed_den
 
@@ -124,15 +113,15 @@ class SyntheticVehicle:
             if header.epoch == EPOCH:  # the dive's own
                 continue
             self.received.append(signal)
-            if isinstance(signal, ClockCommand):
-                state = ClockState.PAUSED if signal.paused else ClockState.RUNNING
+            if isinstance(signal, messages.ClockCommand):
+                state = messages.ClockState.PAUSED if signal.paused else messages.ClockState.RUNNING
                 self.announce(vehicle_ns=self._now_ns(), state=state, speed=signal.speed)
-            if isinstance(signal, Command):
-                answer = Acknowledgement(
+            if isinstance(signal, messages.Command):
+                answer = messages.Acknowledgement(
                     t_ns=self._now_ns(),
                     command_id=signal.command_id,
                     accepted=signal.action != "hold",
-                    authority=Authority.CONTROLLER,
+                    authority=messages.Authority.CONTROLLER,
                     why="nothing to hold" if signal.action == "hold" else "",
                 )
                 self.publish("controller", answer)
