@@ -31,11 +31,9 @@ def refusal(text: str, kind: Any) -> str:
     ("kind", "text", "says"),
     [
         (ControllerConfig, "horizon_s = -5", "horizon_s = -5: must be >= 0.3 and <= 120"),
-        (ControllerConfig, "horizon_s = 0", "horizon_s = 0: must be >= 0.3 and <= 120"),
         (ControllerConfig, "horizon_s = nan", "horizon_s = nan: must be finite"),
         (ControllerConfig, 'horizon_s = "5"', 'horizon_s = "5": must be a number >= 0.3 and <= 120'),
         (ControllerConfig, "horizon_s = true", "horizon_s = true: must be a number >= 0.3 and <= 120"),
-        (ControllerConfig, "horizon_s = [5.0]", "horizon_s = [5.0]: must be a number >= 0.3 and <= 120"),
         (ControllerConfig, "max_iterations = 1.5", "max_iterations = 1.5: must be an integer >= 1 and <= 100000"),
         (ControllerConfig, "lateral = 1", "lateral = 1: must be true or false"),
         (ControllerConfig, "horizon = 5", 'unknown key "horizon"; did you mean "horizon_s"?'),
@@ -43,7 +41,6 @@ def refusal(text: str, kind: Any) -> str:
         (ControllerConfig, "[weights]\nthrst = 1", 'unknown key "thrst" in [weights]; did you mean "thrust"?'),
         (ControllerConfig, "[weights]\nthrust = -1", "[weights] thrust = -1: must be >= 0 and <= 1000000"),
         (ControllerConfig, "weights = 3", "weights = 3: must be a table with position_per_m2,"),
-        (ControllerConfig, "[[weights]]\nthrust = 1", "weights = "),
         (
             Vehicle,
             PAPER.replace("arm_m = 0.2", "", 1),
@@ -85,13 +82,10 @@ def test_a_list_of_the_wrong_length_is_refused() -> None:
     ("content", "says"),
     [
         (b"", "is empty"),
-        (b"  \n\n", "is empty"),
         (bytes(range(256)), "is not UTF-8 text (byte 128)"),
         (b"a = 1\0", "binary data, not text"),
         (b"a = ", "not valid TOML"),
-        (b"a = 1\na = 2", "not valid TOML"),
         (b"a = " + b"[" * 100_000, "deep"),
-        (b"a" + b".a" * 5000 + b" = 1", "deep"),
         (b"a = " + b"9" * 5000, "not valid TOML"),
         (b"#" * (config.MAX_FILE_BYTES + 1), f"at most {config.MAX_FILE_BYTES}; check the file name"),
     ],

@@ -17,6 +17,7 @@ from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Authority, Plan, PlanOrigin
 from ltv_mpc.safety.command_arbiter import ThrustOverride
 from tests.ltv_mpc.reports import report
+from tests.ltv_mpc.vehicles import changed
 
 PAPER = Vehicle.load("paper")
 CONFIG = ControllerConfig(horizon_s=3.0)
@@ -39,43 +40,28 @@ def estimate_of(k: int, scalar: Callable[[float], Any] = float, array: Callable[
     profile = CurrentProfile(
         depth_m=array([0.0, 5.0, 20.0]), north_mps=array([0.0, 1.0, 0.0]), east_mps=array([1.0, 0.0, 0.0])
     )
+    position = {"north_m": k, "east_m": 1.0, "depth_m": 4.0, "heading_rad": 2.0, "yaw_rate_radps": 0.0}
+    velocity = {"velocity_north_mps": 1.0, "velocity_east_mps": 0.0, "velocity_down_mps": 0.0}
     return Estimate(
         t_ns=k * 300_000_000 if scalar in (float, np.int16) else scalar(k * 3e8),
-        north_m=scalar(k),
-        east_m=scalar(1.0),
-        heading_rad=scalar(2.0),
-        yaw_rate_radps=scalar(0.0),
-        velocity_north_mps=scalar(1.0),
-        velocity_east_mps=scalar(0.0),
-        depth_m=scalar(4.0),
-        velocity_down_mps=scalar(0.0),
         covariance=array(np.diag([1.0, 2.0, 1.0, 1.0, 1.0, 1.0])),
         current=profile,
+        **{name: scalar(number) for name, number in (position | velocity).items()},
     )
 
 
 def plans(scalar: Callable[[float], Any] = float, array: Callable[[Any], Any] = np.asarray) -> list[Plan]:
     """Return plans of which every input is of these types: vehicle, settings, reference, estimates, reports."""
-    thruster = replace(PAPER.thrusters[2], max_N=scalar(60.0), slew_N_per_s=scalar(90.0))
-    vehicle = replace(
-        PAPER, net_buoyancy_N=scalar(30.0), thruster=replace(PAPER.thruster, port=thruster, vertical=thruster)
-    )
-    vehicle = replace(
-        vehicle, thruster=replace(vehicle.thruster, port=replace(thruster, arm_m=PAPER.thrusters[0].arm_m))
-    )
+    other = {f"thruster.{side}.max_N": scalar(60.0) for side in ("port", "vertical")}
+    other |= {f"thruster.{side}.slew_N_per_s": scalar(90.0) for side in ("port", "vertical")}
+    vehicle = changed(PAPER, other | {"net_buoyancy_N": scalar(30.0)})
     reference = replace(DIVE, north_m=scalar(2.0), depth_m=scalar(9.0))
     controller = Controller(vehicle, reference, replace(CONFIG, horizon_s=scalar(3.0)))
     made = []
-    obstacle = Obstacle(
-        id=scalar(3),
-        t_ns=scalar(0),
-        north_m=scalar(9),
-        east_m=scalar(9),
-        velocity_north_mps=scalar(0),
-        velocity_east_mps=scalar(0),
-        radius_m=scalar(1),
-        covariance_m2=array([1.0, 0.0, 1.0]),
-    )
+    position = {"id": 3, "t_ns": 0, "north_m": 9, "east_m": 9, "radius_m": 1}
+    numbers = position | {"velocity_north_mps": 0, "velocity_east_mps": 0}
+    given = {name: scalar(number) for name, number in numbers.items()}
+    obstacle = Obstacle(covariance_m2=array([1.0, 0.0, 1.0]), **given)
     controller.add_obstacles(Obstacles(t_ns=scalar(0), obstacles=[obstacle]))
     for k in range(2):
         given = replace(report(k * 300_000_000, [0.0] * 3), thrust_N=array([0.0, 4.0, 1.0]), command_N=array([0.0] * 3))

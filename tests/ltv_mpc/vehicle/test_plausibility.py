@@ -31,8 +31,18 @@ SWAY = lines("quadratic_damping_kgpm = 800.0", 1)
 """Sway in the paper's file, which has quadratic damping only."""
 
 
+OF_PAPER = performance(Vehicle.load("paper"))
+
+
 def warnings_of(vehicle: Vehicle) -> list[str]:
     return warnings(vehicle, performance(vehicle))
+
+
+def with_line(folder: Path, before: str, after: str) -> Vehicle:
+    """Return the vehicle of the paper's file with another line."""
+    assert before in PAPER
+    (folder / "mine.toml").write_text(PAPER.replace(before, after, 1 if before == SWAY else -1))
+    return Vehicle.load(str(folder / "mine.toml"))
 
 
 def of_size(size: float) -> Vehicle:
@@ -51,7 +61,7 @@ def test_shipped_vehicles_and_the_template_give_no_warning(name: Path) -> None:
 
 
 def test_vehicles_from_30_kg_to_3_t_give_no_warning() -> None:
-    sizes = np.cbrt(np.geomspace(30.0, 3000.0, 12) / 200.0).tolist()
+    sizes = np.cbrt(np.geomspace(30.0, 3000.0, 6) / 200.0).tolist()
     vehicles = [of_size(size) for size in sizes]
     assert {v.dry_mass_kg: warnings_of(v) for v in vehicles} == {v.dry_mass_kg: [] for v in vehicles}
 
@@ -74,24 +84,31 @@ def test_vehicles_from_30_kg_to_3_t_give_no_warning() -> None:
         ("min_N = -62.5                  # N; paper", "min_N = 0.0 # N; paper", "[thruster.port] min_N = 0: no"),
         ("lag_s = 0.3 ", "lag_s = 30.0 ", "[thruster.port] lag_s = 30"),
         (SWAY, "quadratic_damping_kgpm = 0.0\n", "[sway] both dampings are 0: a sideways drift never ends"),
-        ("max_rps = 7.2", "max_rps = 5.0", "[thruster.port] max_rps = 5: at the top speed of 0.5 m/s a propeller of"),
         ("max_rps = 7.2 ", "max_rps = 432.0 ", "move at 339 m/s; is it in rev/min?"),
         ("propeller_diameter_m = 0.25 ", "propeller_diameter_m = 9.8 ", "at most 0.7 m fits 200 kg; is it in m?"),
-        ("max_N = 62.5 ", "max_N = 6.37 ", "is the thrust in N (not in kgf or lbf)?"),
         ("mass_kg = 500.0", "mass_kg = 1102.3", "are the masses in kg (not in pounds)"),
-        ("mass_kg = 500.0", "mass_kg = 1102.3", "[surge] mass_kg = 1102.3: 5.51 x dry_mass_kg"),
         ("net_buoyancy_N = 30.5", "net_buoyancy_N = 100.0", "cannot dive"),
         ("net_buoyancy_N = 30.5", "net_buoyancy_N = -100.0", "cannot rise"),
         ("net_buoyancy_N = 30.5", "net_buoyancy_N = -5.0", "without a plan the vehicle sinks"),
-        ("quadratic_damping_kgpm = 500.0", "quadratic_damping_kgpm = 500000.0", "top speed ahead 0.0158 m/s"),
-        ("quadratic_damping_kgm2 = 200.0", "quadratic_damping_kgm2 = 200000.0", "a turn by 90 deg takes"),
         ("linear_damping_Nms = 15.0", "linear_damping_Nms = 3000.0", "drag changes the motion within 0.06 s"),
     ],
 )
 def test_a_wrong_value_is_named(before: str, after: str, says: str, tmp_path: Path) -> None:
-    assert before in PAPER
-    (tmp_path / "mine.toml").write_text(PAPER.replace(before, after, 1 if before == SWAY else -1))
-    sentences = warnings_of(Vehicle.load(str(tmp_path / "mine.toml")))
+    sentences = warnings(with_line(tmp_path, before, after), OF_PAPER)
+    assert any(says in sentence for sentence in sentences), sentences
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "says"),
+    [
+        ("max_rps = 7.2", "max_rps = 5.0", "[thruster.port] max_rps = 5: at the top speed of 0.5 m/s a propeller of"),
+        ("max_N = 62.5 ", "max_N = 6.37 ", "is the thrust in N (not in kgf or lbf)?"),
+        ("quadratic_damping_kgpm = 500.0", "quadratic_damping_kgpm = 500000.0", "top speed ahead 0.0158 m/s"),
+        ("quadratic_damping_kgm2 = 200.0", "quadratic_damping_kgm2 = 200000.0", "a turn by 90 deg takes"),
+    ],
+)
+def test_a_wrong_motion_is_named(before: str, after: str, says: str, tmp_path: Path) -> None:
+    sentences = warnings_of(with_line(tmp_path, before, after))
     assert any(says in sentence for sentence in sentences), sentences
 
 
@@ -106,10 +123,10 @@ def test_a_wrong_value_of_the_vertical_thruster_alone_is_named(field: str, value
 
 
 def test_the_arm_of_a_vehicle_without_a_hull_is_not_compared_with_a_beam() -> None:
-    sentences = warnings_of(changed(Vehicle.load("paper"), {"thruster.port.arm_m": 20.0, "hull": None}))
+    sentences = warnings(changed(Vehicle.load("paper"), {"thruster.port.arm_m": 20.0, "hull": None}), OF_PAPER)
     assert any(" m fit 200 kg; is it in m?" in sentence for sentence in sentences), sentences
 
 
 def test_a_thruster_without_any_delay_gives_a_warning() -> None:
     prompt = changed(Vehicle.load("paper"), {"thruster.port.lag_s": 0.0, "thruster.port.slew_N_per_s": 1e5})
-    assert any("full thrust in 0.62 ms" in one for one in warnings_of(prompt))
+    assert any("full thrust in 0.62 ms" in one for one in warnings(prompt, OF_PAPER))
