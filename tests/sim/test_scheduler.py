@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -29,23 +30,19 @@ def plan(cycle_t_ns: int, estimate_t_ns: int) -> Plan:
     return plan_of(cycle_t_ns, np.zeros((3, 3)), estimate_t_ns=estimate_t_ns)
 
 
+Answer = Callable[[int, Inbox], list[Message]]
+
+
+@dataclass
 class Fake:
     """A node that answers with a function and keeps what it was handed."""
 
-    def __init__(
-        self,
-        name: str,
-        schedule: Schedule,
-        reads: tuple[type[Message], ...] = (),
-        answer: Any = None,
-        writes: tuple[type[Message], ...] = (),
-    ) -> None:
-        self.name = name
-        self.schedule = schedule
-        self.reads = reads
-        self.writes = writes
-        self.answer = answer or (lambda _t_ns, _inbox: [])
-        self.seen: list[tuple[int, list[tuple[type[Message], int, int]]]] = []
+    name: str
+    schedule: Schedule
+    reads: tuple[type[Message], ...] = ()
+    answer: Answer = lambda _t_ns, _inbox: []
+    writes: tuple[type[Message], ...] = ()
+    seen: list[tuple[int, list[tuple[type[Message], int, int]]]] = field(default_factory=list)
 
     def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
         self.seen.append((t_ns, [(type(a.message), a.sequence, a.received_t_ns) for a in inbox]))
@@ -72,14 +69,11 @@ def estimates(t_ns: int, _: Inbox) -> list[Message]:
     return [estimate(t_ns)]
 
 
-Answer = Callable[[int, Inbox], list[Message]]
-
-
+@dataclass
 class Log:
     """Writes down what an observer is told."""
 
-    def __init__(self) -> None:
-        self.lines: list[tuple[Any, ...]] = []
+    lines: list[tuple[Any, ...]] = field(default_factory=list)
 
     def stepped(self, step: Step) -> None:
         at_ns, node, number, t_ns, cause, inbox = step

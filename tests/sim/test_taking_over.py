@@ -59,11 +59,9 @@ class Seen:
                 self.plans.append(plan)
 
 
-def fly(
-    orders: dict[float, Command | Action], until_s: float, *, stick=None, arm: bool = True
-) -> tuple[Seen, list[Acknowledgement]]:
+def fly(orders: dict[float, Command | Action], until_s: float, *, stick=None) -> tuple[Seen, list[Acknowledgement]]:
     base = Scenario.load("descent")
-    scenario = msgspec.structs.replace(base, run=msgspec.structs.replace(base.run, perfect_state=True, arm=arm))
+    scenario = msgspec.structs.replace(base, run=msgspec.structs.replace(base.run, perfect_state=True, arm=True))
     water = make(scenario.water, 0)
     commands = {
         t: Command(command_id=k, action=order) if isinstance(order, Action) else order

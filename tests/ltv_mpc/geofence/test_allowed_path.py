@@ -16,7 +16,7 @@ from ltv_mpc.geofence.allowed_path import STEP_M, Routes, allowed_path, divided,
 from ltv_mpc.geofence.fence import Fence
 from ltv_mpc.geofence.route import SLACK_M, Router
 from ltv_mpc.geofence.zones import Zones, are_clear, clearances, pack_zones
-from ltv_mpc.messages import Array
+from ltv_mpc.messages import Array, Pair
 from ltv_mpc.references import Line, Place, Timed, Waypoints
 from ltv_mpc.references.schedule import EAST, NORTH, TIME, WAY, Schedule, target_at
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -184,9 +184,7 @@ def test_a_path_begins_at_the_exit_and_ends_at_the_nearest_allowed_point() -> No
 
 
 @given(rings(), point)
-def test_the_nearest_allowed_point_is_allowed_and_no_ray_finds_a_nearer_one(
-    ring: Array, at: tuple[float, float]
-) -> None:
+def test_the_nearest_allowed_point_is_allowed_and_no_ray_finds_a_nearer_one(ring: Array, at: Pair) -> None:
     zones, need = pack_zones(fence_of(ring, keep_in=False)), np.array([0.5])
     found = nearest_allowed(zones, need, at)
     assert found is not None
@@ -269,9 +267,7 @@ def test_where_no_way_leads_round_a_zone_a_timed_target_jumps_and_waits() -> Non
 
 
 @pytest.mark.parametrize(("centre_m", "waits_s", "at_m"), [(0.0, (0.0, 15.0), 5.0), (30.0, (165.0, 180.0), None)])
-def test_a_timed_track_whose_end_is_in_a_zone_rests_there(
-    centre_m: float, waits_s: tuple[float, float], at_m: float | None
-) -> None:
+def test_a_timed_track_whose_end_is_in_a_zone_rests_there(centre_m: float, waits_s: Pair, at_m: float | None) -> None:
     """The disc and the required clearance have 5 m: the target waits behind them, or beside the end."""
     schedule, _ = allowed_path(STAY.schedule(PAPER), Router(discs((centre_m, 1.0, 4.0)), NEED))
     assert schedule.table[TIME, 0] == 0.0

@@ -9,7 +9,7 @@ from hypothesis import assume, given
 from ltv_mpc.geofence.fence import Fence
 from ltv_mpc.geofence.half_planes import ROWS, HalfPlanes, half_planes
 from ltv_mpc.geofence.zones import Zones, nearest, pack_zones
-from ltv_mpc.messages import Array
+from ltv_mpc.messages import Array, Pair
 from tests.ltv_mpc.geofence.shapes import boundary_distance, contains, disc, fence_of, point, polygon, rings
 
 SQUARE = np.array([[0.0, 0.0], [0.0, 10.0], [10.0, 10.0], [10.0, 0.0]])
@@ -37,9 +37,7 @@ def test_the_first_row_of_a_point_is_that_of_the_nearest_boundary(ring: Array, a
 
 
 @given(rings(), point, point)
-def test_a_point_that_keeps_the_row_of_a_convex_zone_is_clear_of_it(
-    ring: Array, at: tuple[float, float], moved: tuple[float, float]
-) -> None:
+def test_a_point_that_keeps_the_row_of_a_convex_zone_is_clear_of_it(ring: Array, at: Pair, moved: Pair) -> None:
     hull = np.array([p for p in ring if np.hypot(*(p - ring[0])) < 40.0])[:3]  # a triangle of the ring's vertices
     assume(abs(np.linalg.det(hull[1:] - hull[0])) > 1e-3)
     zones = pack_zones(fence_of(hull, keep_in=False))

@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import dijkstra
 from ltv_mpc.geofence.fence import Fence, Polygon
 from ltv_mpc.geofence.route import SLACK_M, Router
 from ltv_mpc.geofence.zones import Zones, clearances, pack_zones
-from ltv_mpc.messages import Array
+from ltv_mpc.messages import Array, Pair
 from tests.ltv_mpc.geofence import shapes
 from tests.ltv_mpc.geofence.shapes import disc, point, rings
 
@@ -138,9 +138,7 @@ def test_without_a_way_it_leads_to_the_nearest_point_that_can_be_reached() -> No
 
 
 @given(rings(), rings(), point, point)
-def test_a_line_is_blocked_if_its_points_are_too_near(
-    first: Array, second: Array, start: tuple[float, float], end: tuple[float, float]
-) -> None:
+def test_a_line_is_blocked_if_its_points_are_too_near(first: Array, second: Array, start: Pair, end: Pair) -> None:
     """A zone that an end is in does not count; an end that is too near lowers the clearance that counts."""
     zones, of = router(Fence(margin_m=0.0, keep_out=(shapes.polygon(first), shapes.polygon(second))))
     points = np.linspace(start, end, 100)

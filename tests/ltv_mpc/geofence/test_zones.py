@@ -8,14 +8,12 @@ from hypothesis import assume, given
 
 from ltv_mpc.geofence.fence import Fence
 from ltv_mpc.geofence.zones import are_clear, clearances, nearest, pack_zones
-from ltv_mpc.messages import Array
+from ltv_mpc.messages import Array, Pair
 from tests.ltv_mpc.geofence.shapes import boundary_distance, contains, disc, fence_of, point, rings
 
 
 @given(rings(), point)
-def test_the_clearance_is_the_distance_to_the_ring_with_the_sign_of_its_side(
-    ring: Array, at: tuple[float, float]
-) -> None:
+def test_the_clearance_is_the_distance_to_the_ring_with_the_sign_of_its_side(ring: Array, at: Pair) -> None:
     distance = boundary_distance(ring, np.array(at))
     assume(distance > 1e-6)
     inside = contains(ring, np.array(at))
@@ -25,9 +23,7 @@ def test_the_clearance_is_the_distance_to_the_ring_with_the_sign_of_its_side(
 
 
 @given(rings(), point)
-def test_the_normal_leads_from_the_boundary_to_the_point_or_out_of_the_zone(
-    ring: Array, at: tuple[float, float]
-) -> None:
+def test_the_normal_leads_from_the_boundary_to_the_point_or_out_of_the_zone(ring: Array, at: Pair) -> None:
     distance, mn, me, qn, qe = nearest(pack_zones(fence_of(ring, keep_in=False)), 0, *at)
     assert np.hypot(mn, me) == pytest.approx(1.0)
     np.testing.assert_allclose([qn + distance * mn, qe + distance * me], at, atol=1e-9)
