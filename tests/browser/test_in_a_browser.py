@@ -255,7 +255,7 @@ def test_the_reader_can_look_back_and_return(browser: Any, live: Served) -> None
 def test_the_view_from_above_follows_the_vehicle_or_shows_the_whole_track(browser: Any, live: Served) -> None:
     with tab(browser, SCREEN, own=live.url) as page:
         page.goto(f"{live.url}#{live.token}")
-        drawn(page)
+        until(lambda: page.evaluate(POINTS, "track") > 100)
         width = "(() => { const [a, b] = document.querySelector('#plot-track').layout.yaxis.range; return b - a })()"
         page.click("#panel-track button:text-is('whole track')")
         until(lambda: page.locator("#panel-track button:text-is('follow')").count() == 1)

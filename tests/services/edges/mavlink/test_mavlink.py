@@ -102,7 +102,7 @@ def driving(**link: Any) -> MavlinkFlight:
     flight.fly(3.0)
     flight.arm()
     flight.command(action="arm")
-    flight.fly(10.0)
+    flight.fly(4.0)
     assert not flight.edge.idle
     assert flight.autopilot.overrides
     assert "LTV-MPC: driving" in flight.autopilot.log
