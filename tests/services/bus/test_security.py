@@ -8,8 +8,6 @@ import os
 import re
 import shutil
 import stat
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -25,6 +23,7 @@ from services.bus.security import credentials
 from services.bus.session import Session, configuration, open_session
 from services.bus.topics import TOPICS
 from services.cli.app import run
+from tests.system.alone import CLI, started
 from tests.waiting import until
 
 
@@ -237,20 +236,10 @@ def test_no_session_scouts_and_none_takes_in_a_message_without_bound(
 
 
 @pytest.mark.skipif(not Path("/proc/self/net/tcp").exists(), reason="sockets are read off /proc")
-def test_a_router_that_is_told_nothing_has_no_socket_but_one_on_loopback(tmp_path: Path, free_port: int) -> None:
-    log = tmp_path / "router.log"
-    with log.open("wb") as output:
-        router = subprocess.Popen(
-            [sys.executable, "-P", "-m", "services.cli", "router", "--listen", f"tcp/127.0.0.1:{free_port}"],
-            stdin=subprocess.DEVNULL,
-            stderr=output,
-        )
-    try:
-        until(lambda: "ready at" in log.read_text())
+def test_a_router_that_is_told_nothing_has_no_socket_but_one_on_loopback(free_port: int) -> None:
+    with started(*CLI, "router", "--listen", f"tcp/127.0.0.1:{free_port}") as (router, lines):
+        lines.until(lambda line: "ready at" in line)
         assert sockets(router.pid) == {("tcp", "0100007F")}  # 127.0.0.1, as the kernel writes it
-    finally:
-        router.terminate()
-        router.wait(30)
 
 
 def sockets(pid: int) -> set[tuple[str, str]]:

@@ -5,16 +5,13 @@ from __future__ import annotations
 import itertools
 import threading
 import time
-import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
 from msgspec.structs import replace
 
-from ltv_mpc import config, references
 from ltv_mpc.geofence.fence import Disc, Fence
 from ltv_mpc.messages import Authority, ControllerStatus, Estimate, Message, Plan, RunEvent
 from ltv_mpc.references.geodesy import Origin, Place
@@ -198,13 +195,3 @@ def test_where_nobody_answers_it_says_so_and_exits_1(alone, capsys, monkeypatch)
     monkeypatch.setattr(operator, "TIMEOUT_S", 1.0)
     assert run(["ctl", "arm", "--connect", f"tcp/127.0.0.1:{loopback.free_port()}"]) == 1
     assert "no router within 1 s" in capsys.readouterr().err
-
-
-def test_a_reference_that_travels_is_the_one_that_was_loaded(tmp_path):
-    (tmp_path / "track.csv").write_text("t_s,north_m,east_m\n0,0,0\n10,1,2.5\n")
-    (tmp_path / "track.toml").write_text('kind = "timed"\nfile = "track.csv"\n')
-    files = Path(references.__file__).parent / "files"
-    for name in (str(tmp_path / "track.toml"), *(path.stem for path in files.glob("*.toml"))):
-        loaded = references.load(name)
-        sent = config.parse(tomllib.loads(config.to_toml(loaded)), references.Reference, source="reference")
-        assert sent == loaded

@@ -372,10 +372,3 @@ def test_on_a_machine_with_a_third_of_the_speed_messages_soon_stop_queueing_and_
     times = [int(text.partition("waits of the clock so far: ")[2].partition(",")[0]) for text in machine.kept.events]
     assert all(later >= 2 * earlier for earlier, later in pairwise(times))
     assert len(times) >= 4
-
-
-def test_a_fast_machine_reaches_the_requested_speed() -> None:
-    machine = Machine(12.0)
-    machine.run(3 * S_US)
-    newest = machine.kept.master.message
-    assert (newest.speed_num, newest.speed_den, newest.requested_speed) == (10, 1, 10.0)

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import os
 import socket
-import subprocess
-import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -18,8 +15,8 @@ from services.runtime.lifeline import GO, HEARTBEAT_PERIOD_US, Lifeline
 from services.runtime.stage_timer import StageTimer
 from services.runtime.stopping import StopRequest
 from services.supervisor import loopback
-
-PATIENCE_S = 240.0
+from tests.system.alone import CLI, started
+from tests.waiting import until
 
 
 @pytest.fixture(params=["path", "abstract"])
@@ -159,18 +156,11 @@ def test_an_estimator_reports_ready_and_notifies_the_watchdog(manager: tuple[soc
     """Its unit has ``Type=notify`` and a watchdog: without these systemd would end it at its start."""
     receiver, address = manager
     endpoint = f"tcp/127.0.0.1:{loopback.free_port()}"
-    line = [sys.executable, "-P", "-m", "services.cli", "estimator", "--connect", endpoint]
-    environment = os.environ | {"NOTIFY_SOCKET": address, "WATCHDOG_USEC": "5000000"}
+    environment = ("env", f"NOTIFY_SOCKET={address}", "WATCHDOG_USEC=5000000")
+    texts: list[str] = []
     with (
         open_session(BusOptions(listen=(endpoint,)), stop=StopRequest(), say=print),
-        subprocess.Popen(line, env=environment) as estimator,
+        started(*environment, *CLI, "estimator", "--connect", endpoint),
     ):
-        try:
-            receiver.settimeout(PATIENCE_S)
-            texts, until = [], time.monotonic() + PATIENCE_S
-            while "WATCHDOG=1" not in texts:
-                assert time.monotonic() < until
-                texts.append(receiver.recv(4096).decode())
-        finally:
-            estimator.terminate()
+        until(lambda: texts.extend(received(receiver)) or "WATCHDOG=1" in texts)
     assert [text for text in texts if not text.startswith("STATUS")] == ["READY=1", "WATCHDOG=1"]
