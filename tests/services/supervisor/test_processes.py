@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import os
-import resource
 import shutil
 import signal
 import subprocess
@@ -36,6 +35,7 @@ from services.run.run_config import Override, RunConfig, resolve
 from services.runtime.stopping import StopRequest, hang_up_with_stderr, stop_on_signals
 from services.supervisor import jit_cache, loopback, supervisor
 from services.supervisor.screen import LiveView
+from tests.disk import largest_file
 from tests.procfs import alive, children_of, pid_of
 from tests.system.alone import CLI, started
 from tests.waiting import PATIENCE_S, until
@@ -250,11 +250,11 @@ def check_wait(screen: Screen, page: Page, limit_s: float) -> None:
     waited_s = page.asked_s[-1] - page.asked_s[0]
     assert 0.5 * limit_s < waited_s
     assert {view.phase for view in screen.views[: len(page.asked_s)]} == {"starting"}
-    assert page.shown == ["starting the processes"]
 
 
 def test_the_clock_waits_until_an_open_page_is_drawn(whole: WatchedRun) -> None:
     check_wait(whole.screen, whole.page, 1.0)
+    assert whole.page.shown == ["starting the processes"]
 
 
 @pytest.fixture(scope="module")
@@ -262,15 +262,10 @@ def without_room(tmp_path_factory: pytest.TempPathFactory) -> WatchedRun:
     """Run with a page that is never drawn. The disk takes the settings, and not a second of the recording."""
     s = run_config(1.0)
     run = folder.make("test", s.files, out=tmp_path_factory.mktemp("without_room") / "run")
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, limits[1]))
     screen, page = Screen(), Page(drawn_s=1000.0)
-    with pytest.MonkeyPatch.context() as patch:
+    with pytest.MonkeyPatch.context() as patch, largest_file(100_000):
         patch.setattr(supervisor, "DRAWING_TIMEOUT_S", 0.5)
         outcome = supervisor.run(s, run, screen, page=page)
-    resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-    signal.signal(signal.SIGXFSZ, before)
     return WatchedRun(run, outcome, screen, page, children_of(os.getpid()))
 
 
@@ -295,9 +290,7 @@ def test_the_estimator_starts_from_the_prior_and_the_run_saves_its_profile(whole
     assert learned.sd_mps[at] < 0.02
 
 
-def test_a_killed_or_hung_process_continues_where_it_was_and_a_killed_sensors_process_ends_the_run(
-    tmp_path: Path,
-) -> None:
+def test_a_killed_or_hung_process_continues_where_it_was_and_a_killed_sensors_process_ends_the_run(tmp_path) -> None:
     """One after the other, each as soon as the one before is back; first the fork server, which is replaced."""
     s = resolve("hover", [Override("test", ["run.duration_s=600", "run.surface_time_s=2", "run.speed=1"])])
     run = folder.make("test", s.files, out=tmp_path / "run")
@@ -360,9 +353,7 @@ def test_a_killed_or_hung_process_continues_where_it_was_and_a_killed_sensors_pr
             assert node.node == "controller" or len(node.gaps) == 1
 
 
-def test_ctrl_c_ends_everything_in_order_and_leaves_a_valid_recording(
-    launcher: tuple[subprocess.Popen[bytes], Path],
-) -> None:
+def test_ctrl_c_ends_everything_in_order_and_leaves_a_valid_recording(launcher) -> None:
     process, out = launcher
     pids = children_of(process.pid)
     assert len(pids) >= 7  # six, the guard, and who forks them
@@ -404,9 +395,7 @@ def test_with_json_the_clock_waits_for_no_page(tmp_path: Path, monkeypatch: pyte
     assert asked == [True, False]
 
 
-def test_a_killed_supervisor_leaves_no_orphan_and_the_recorder_completes_its_file(
-    launcher: tuple[subprocess.Popen[bytes], Path],
-) -> None:
+def test_a_killed_supervisor_leaves_no_orphan_and_the_recorder_completes_its_file(launcher) -> None:
     """One child is stopped, so that it cannot end itself (for one that holds the GIL: test_forkserver)."""
     process, out = launcher
     pids = children_of(process.pid)
