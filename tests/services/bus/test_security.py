@@ -83,9 +83,7 @@ def test_a_missing_open_or_foreign_key_is_refused_by_name(folder: Path, tmp_path
             credentials(copy, role)
 
 
-def test_the_command_makes_them_once_and_again_only_by_force(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_makes_them_once_and_again_only_by_force(tmp_path, capsys) -> None:
     out = tmp_path / "certs"
     assert run(["certs", "new", str(out), "--host", "otter.local", "--days", "10"]) == 0
     assert capsys.readouterr().out == f"{out}\n"
@@ -112,14 +110,7 @@ def test_the_command_makes_them_once_and_again_only_by_force(
         ("sim --certs none", "option --certs none/ca.pem: no such file"),
     ],
 )
-def test_bad_options_are_refused_before_anything_starts(
-    line: str,
-    says: str,
-    folder: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_bad_options_are_refused_before_anything_starts(line, says, folder, tmp_path, monkeypatch, capsys) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "FILE").write_text("")
     assert run(line.replace("CERTS", str(folder)).split()) == 2
@@ -203,9 +194,7 @@ def test_who_listens_with_certificates_denies_by_default_and_asks_for_one(folder
 
 
 @pytest.mark.parametrize(("role", "answered"), [("operator", True), ("controller", False)])
-def test_who_may_read_everything_may_ask_for_the_history(
-    folder: Path, free_port: int, role: str, answered: bool
-) -> None:
+def test_who_may_read_everything_may_ask_for_the_history(folder, free_port, role, answered) -> None:
     endpoint = f"tls/127.0.0.1:{free_port}"
 
     def opened(as_role: str) -> Session:
@@ -224,9 +213,7 @@ def test_who_may_read_everything_may_ask_for_the_history(
 
 
 @pytest.mark.parametrize("options", [BusOptions(), BusOptions(listen=("tcp/127.0.0.1:7447",)), BusOptions(mode="peer")])
-def test_no_session_scouts_and_none_takes_in_a_message_without_bound(
-    options: BusOptions, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_session_scouts_and_none_takes_in_a_message_without_bound(options, monkeypatch) -> None:
     monkeypatch.delenv("ZENOH_CONFIG", raising=False)
     config = configuration(options)
     for way in ("multicast", "gossip"):

@@ -14,17 +14,7 @@ import pytest
 from ltv_mpc.messages import AdcpPing, Estimate, Message, Plan, PressureDepth, StepRecord
 from ltv_mpc.validation import rejection_reason
 from services.bus.topics import TOPICS
-from services.bus.wire import (
-    MAX_PAYLOAD_BYTES,
-    Header,
-    WireError,
-    crc,
-    decode,
-    encode,
-    header_of,
-    to_map,
-    unpack,
-)
+from services.bus.wire import MAX_PAYLOAD_BYTES, Header, WireError, crc, decode, encode, header_of, to_map, unpack
 from tests.services.bus.messages import EXAMPLES, HEADER
 
 
@@ -69,10 +59,7 @@ RUBBISH = {
     "list": (msgpack.packb([1, 2]), "not a map"),
     "no header": (msgpack.packb({}), "epoch"),
     "no body": (msgpack.packb(HEADLESS), "t_ns"),
-    "epoch": (
-        msgpack.packb(HEADLESS | {"epoch": 2**48}),
-        "epoch = 281474976710656: Expected `int` <= 281474976710655",
-    ),
+    "epoch": (msgpack.packb(HEADLESS | {"epoch": 2**48}), "epoch = 281474976710656: Expected `int` <= 281474976710655"),
     "bool": (msgpack.packb(HEADLESS | {"epoch": True}), "epoch = True: Expected `int`"),
     "deep": (b"\x91" * 100_000, "."),
     "long": (b"\xdd\xff\xff\xff\xff", "."),
@@ -117,9 +104,7 @@ INDEFINITE[0, 1] = INDEFINITE[1, 0] = 1.5
         (Plan, changed(PLAN, t_ns=[0] * 17 + [2**64 - 1]), "."),
     ],
 )
-def test_a_frame_of_right_form_and_wrong_meaning_is_refused_by_reason(
-    kind: type[Message], payload: bytes, reason: str
-) -> None:
+def test_a_frame_of_right_form_and_wrong_meaning_is_refused_by_reason(kind, payload, reason) -> None:
     with pytest.raises(WireError, match=reason):
         decode(kind, payload)
 

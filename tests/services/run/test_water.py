@@ -143,9 +143,7 @@ def test_the_saved_shared_error_is_the_filters_covariance_between_depths(first: 
 # --- what is handed on --------------------------------------------------------------------------------------------
 
 
-def test_the_estimator_starts_from_the_file_and_so_does_whoever_reads_its_estimates(
-    first: Visit, tmp_path: Path
-) -> None:
+def test_the_estimator_starts_from_the_file_and_so_does_whoever_reads_its_estimates(first, tmp_path) -> None:
     """The shear of the first visit is in the second one's estimates before its own pings can have seen it."""
     write_profile(tmp_path / "known.csv", first.saved)
     settings = ("run.duration_s=0.1", "run.seed=9")

@@ -46,9 +46,7 @@ def ended(path: Path) -> tuple[Supervisor, Any]:
 
 
 @pytest.mark.parametrize("while_stopping", [None, signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_a_second_signal_skips_the_summary(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, while_stopping: signal.Signals | None
-) -> None:
+def test_a_second_signal_skips_the_summary(tmp_path, monkeypatch, while_stopping) -> None:
     """It comes while the processes stop, or the summary is made. A terminal that closes hangs up twice: no skip."""
     monkeypatch.setattr(supervisor, "QUICK_S", -1.0 if while_stopping is None else 600.0)
     made, outcome = ended(tmp_path / "run")
