@@ -35,7 +35,7 @@ LONGEST = (
         "benchmarks",
         "examples",
     ),
-    *("examples", "browser", "services/edges", "services/replay", "services/dashboard", "services/runtime"),
+    *("browser", "services/edges", "services/replay", "services/dashboard", "services/runtime"),
     *("ltv_mpc/control", "ltv_mpc/safety", "ltv_mpc/localisation", "ltv_mpc/vehicle", "ltv_mpc/references"),
 )
 """Folders whose files take longest. They start first: a long file that starts last keeps all other workers waiting."""

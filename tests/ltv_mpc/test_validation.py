@@ -123,6 +123,14 @@ def test_each_number_may_equal_its_bounds_but_not_exceed_them(message: Message) 
             assert is_of_bounds(not_a_number) != limits.has_gaps, way
 
 
+@pytest.mark.parametrize("message", MESSAGES, ids=lambda message: type(message).__name__)
+def test_what_is_no_number_is_rejected_on_the_wire(message: Message) -> None:
+    for way, _ in places(message):
+        if not isinstance(way[-1], tuple):  # an array converts it
+            for wrong in ("1", True, []):
+                assert on_the_wire(changed(message, way, wrong)) is not None, (way, wrong)
+
+
 def test_every_field_with_numbers_was_tried() -> None:
     tried: dict[type, set[str]] = {}
     for message in MESSAGES:

@@ -150,6 +150,8 @@ def test_known_water_determines_the_velocity_after_a_reinitialisation():
     """
     run = run_with(wrong_unit)
     assert {report.restarts for report in run.reports.values()} == {0, 1}
+    inconsistent_s = [t_ns // S for t_ns, report in run.reports.items() if report.status is FilterStatus.INCONSISTENT]
+    assert 15 < min(inconsistent_s) <= 18
     sd = [run.estimates[t_s * S].covariance[2, 2] ** 0.5 for t_s in (14, 32)]
     assert sd[1] < 2.0 * sd[0]
     assert abs(error_of(run.estimates[32 * S], DIVE)[2:4]).max() < 3.5 * sd[1]

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ltv_mpc.messages import Estimate, GnssFix, Manual, Message, PressureDepth
+from ltv_mpc.messages import Estimate, GnssFix, Manual, PressureDepth
 from services.bus.mailbox import Frame, Mailbox
 from services.bus.message_validation import MAX_REASONS, MessageValidator, RateExceeded, rejection
 from services.bus.rate_limit import RateLimit
@@ -94,9 +94,7 @@ def test_each_frame_is_accepted_once_and_in_order(course: Course, counts: tuple[
 
 
 @pytest.mark.parametrize(("kind", "silence_ms"), [(PressureDepth, 500), (GnssFix, 1500), (Manual, 500)])
-def test_the_silence_after_which_another_takes_over_is_three_periods_within_bounds(
-    kind: type[Message], silence_ms: int
-) -> None:
+def test_the_silence_after_which_another_takes_over_is_three_periods_within_bounds(kind, silence_ms) -> None:
     assert silence_us(BY_TYPE[kind].period_ns) == silence_ms * 1000
 
 

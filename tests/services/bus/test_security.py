@@ -8,8 +8,6 @@ import os
 import re
 import shutil
 import stat
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -25,6 +23,7 @@ from services.bus.security import credentials
 from services.bus.session import Session, configuration, open_session
 from services.bus.topics import TOPICS
 from services.cli.app import run
+from tests.system.alone import CLI, started
 from tests.waiting import until
 
 
@@ -84,9 +83,7 @@ def test_a_missing_open_or_foreign_key_is_refused_by_name(folder: Path, tmp_path
             credentials(copy, role)
 
 
-def test_the_command_makes_them_once_and_again_only_by_force(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_makes_them_once_and_again_only_by_force(tmp_path, capsys) -> None:
     out = tmp_path / "certs"
     assert run(["certs", "new", str(out), "--host", "otter.local", "--days", "10"]) == 0
     assert capsys.readouterr().out == f"{out}\n"
@@ -113,14 +110,7 @@ def test_the_command_makes_them_once_and_again_only_by_force(
         ("sim --certs none", "option --certs none/ca.pem: no such file"),
     ],
 )
-def test_bad_options_are_refused_before_anything_starts(
-    line: str,
-    says: str,
-    folder: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_bad_options_are_refused_before_anything_starts(line, says, folder, tmp_path, monkeypatch, capsys) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "FILE").write_text("")
     assert run(line.replace("CERTS", str(folder)).split()) == 2
@@ -204,9 +194,7 @@ def test_who_listens_with_certificates_denies_by_default_and_asks_for_one(folder
 
 
 @pytest.mark.parametrize(("role", "answered"), [("operator", True), ("controller", False)])
-def test_who_may_read_everything_may_ask_for_the_history(
-    folder: Path, free_port: int, role: str, answered: bool
-) -> None:
+def test_who_may_read_everything_may_ask_for_the_history(folder, free_port, role, answered) -> None:
     endpoint = f"tls/127.0.0.1:{free_port}"
 
     def opened(as_role: str) -> Session:
@@ -225,9 +213,7 @@ def test_who_may_read_everything_may_ask_for_the_history(
 
 
 @pytest.mark.parametrize("options", [BusOptions(), BusOptions(listen=("tcp/127.0.0.1:7447",)), BusOptions(mode="peer")])
-def test_no_session_scouts_and_none_takes_in_a_message_without_bound(
-    options: BusOptions, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_session_scouts_and_none_takes_in_a_message_without_bound(options, monkeypatch) -> None:
     monkeypatch.delenv("ZENOH_CONFIG", raising=False)
     config = configuration(options)
     for way in ("multicast", "gossip"):
@@ -237,20 +223,10 @@ def test_no_session_scouts_and_none_takes_in_a_message_without_bound(
 
 
 @pytest.mark.skipif(not Path("/proc/self/net/tcp").exists(), reason="sockets are read off /proc")
-def test_a_router_that_is_told_nothing_has_no_socket_but_one_on_loopback(tmp_path: Path, free_port: int) -> None:
-    log = tmp_path / "router.log"
-    with log.open("wb") as output:
-        router = subprocess.Popen(
-            [sys.executable, "-P", "-m", "services.cli", "router", "--listen", f"tcp/127.0.0.1:{free_port}"],
-            stdin=subprocess.DEVNULL,
-            stderr=output,
-        )
-    try:
-        until(lambda: "ready at" in log.read_text())
+def test_a_router_that_is_told_nothing_has_no_socket_but_one_on_loopback(free_port: int) -> None:
+    with started(*CLI, "router", "--listen", f"tcp/127.0.0.1:{free_port}") as (router, lines):
+        lines.until(lambda line: "ready at" in line)
         assert sockets(router.pid) == {("tcp", "0100007F")}  # 127.0.0.1, as the kernel writes it
-    finally:
-        router.terminate()
-        router.wait(30)
 
 
 def sockets(pid: int) -> set[tuple[str, str]]:

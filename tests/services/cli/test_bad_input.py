@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from ltv_mpc.vehicle import parameters
-from services.cli.app import run
+from services.cli.app import main, run
 
 CSV = "depth_m,v_north_mps,u_east_mps\n"
 PAPER = (Path(parameters.__file__).parent / "files" / "paper.toml").read_text()
@@ -48,12 +46,11 @@ CASES = [
         'scenario "decsent": no shipped name; shipped: demo, descent, hover, paper-2.5s, paper-5s, paper-no-control; '
         'did you mean "descent"?',
     ),
-    ("sim none.toml", "scenario none.toml: no such file"),
     ("sim folder/", "scenario folder: is a folder"),
     ("sim empty.toml", "scenario empty.toml: is empty"),
     ("sim broken.toml", "scenario broken.toml: is not valid TOML: Invalid value (at "),
     ("sim scenario-unknown.toml", 'scenario-unknown.toml: unknown key "sd" in [water]; did you mean "sd_mps"?'),
-    ("sim scenario-nan.toml", "scenario-nan.toml: [run] duration_s = nan: must be finite"),
+    ("sim scenario-negative.toml", "scenario-negative.toml: [water] sd_mps = -0.04: must be >= 0"),
     ("sim scenario-untitled.toml", 'scenario-untitled.toml: key "title" is missing'),
     ("sim scenario-vehicle.toml", "vehicle vehicles/none.toml: no such file"),
     ("sim scenario-measured.toml", '[water] file = "": must name a currents CSV where kind = "measured"'),
@@ -64,13 +61,11 @@ CASES = [
         'did you mean "paper"?',
     ),
     ("sim --vehicle vehicle-unknown.toml", 'unknown key "arm_meters" in [thruster.port]; did you mean "arm_m"?'),
-    ("sim --sensors sensors-rate.toml", "sensors-rate.toml: [imu] period_ns = 0: must be >= 1000000 and <= "),
     ("sim --sensors good", 'sensors "good": no shipped name; shipped: paper, realistic'),
     ("sim --reference reference-kind.toml", 'reference-kind.toml: kind = "square": must be "point" or "hold" or'),
     ("sim --currents none.csv", "currents none.csv: no such file"),
     ("sim --currents columns.csv", "missing column u_east_mps"),
     ("sim --water-prior profile.csv", "currents profile.csv: line 1: missing column sd_mps: a prior needs it"),
-    ("sim scenario-prior.toml", "currents water/none.csv: no such file"),
     ("sim --water-prior profile.csv --perfect-state", "option --water-prior: cannot act together with --perfect-state"),
     # --- options and --set ----------------------------------------------------------------------------------------
     ("sim --duration-s 0", "option --duration-s: [run] duration_s = 0: must be > 0 and <= 1000000"),
@@ -183,7 +178,9 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.mark.parametrize(("line", "says"), CASES, ids=[line for line, _ in CASES])
 def test_bad_input_is_refused_in_one_line(line, says, bench, capsys) -> None:
     before = sorted(bench.rglob("*"))
-    assert run(line.split()) == 2
+    with pytest.raises(SystemExit) as ended:
+        main(line.split())
+    assert ended.value.code == 2
     out, err = capsys.readouterr()
     assert out == ""
     assert says in err
@@ -192,16 +189,6 @@ def test_bad_input_is_refused_in_one_line(line, says, bench, capsys) -> None:
     assert err.endswith("\n")
     assert ".rs" not in err
     assert sorted(bench.rglob("*")) == before
-
-
-@pytest.mark.parametrize("line", ["sim scenario-negative.toml"])
-def test_a_process_exits_with_2_without_a_traceback(line: str, bench: Path) -> None:
-    command = [sys.executable, "-P", "-m", "services.cli", *line.split()]
-    result = subprocess.run(command, cwd=bench, capture_output=True, text=True, timeout=60, check=False)
-    assert result.returncode == 2
-    assert result.stdout == ""
-    assert result.stderr.count("\n") == 1
-    assert "Traceback" not in result.stderr
 
 
 def test_a_name_that_holds_line_breaks_still_makes_one_line(capsys: pytest.CaptureFixture[str]) -> None:

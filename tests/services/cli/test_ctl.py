@@ -5,16 +5,13 @@ from __future__ import annotations
 import itertools
 import threading
 import time
-import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
 from msgspec.structs import replace
 
-from ltv_mpc import config, references
 from ltv_mpc.geofence.fence import Disc, Fence
 from ltv_mpc.messages import Authority, ControllerStatus, Estimate, Message, Plan, RunEvent
 from ltv_mpc.references.geodesy import Origin, Place
@@ -25,6 +22,7 @@ from services.bus.session import open_session
 from services.bus.topics import BY_TYPE
 from services.bus.wire import Header, decode, encode
 from services.cli.app import run
+from services.processes import operator
 from services.runtime.stopping import StopRequest
 from services.supervisor import loopback
 from tests.system.alone import controller
@@ -191,18 +189,9 @@ def test_another_source_is_used_when_it_is_named_and_both_are_in_the_status(alon
         assert alone.ctl("source") == 0
 
 
-def test_where_nobody_answers_it_says_so_and_exits_1(alone: Alone, capsys: pytest.CaptureFixture[str]) -> None:
+def test_where_nobody_answers_it_says_so_and_exits_1(alone, capsys, monkeypatch) -> None:
     assert run(["ctl", "arm", "--connect", alone.endpoint, "--namespace", "nobody"]) == 1
     assert "no reply from a controller within 3 s" in capsys.readouterr().err
+    monkeypatch.setattr(operator, "TIMEOUT_S", 1.0)
     assert run(["ctl", "arm", "--connect", f"tcp/127.0.0.1:{loopback.free_port()}"]) == 1
-    assert "no router within 3 s" in capsys.readouterr().err
-
-
-def test_a_reference_that_travels_is_the_one_that_was_loaded(tmp_path):
-    (tmp_path / "track.csv").write_text("t_s,north_m,east_m\n0,0,0\n10,1,2.5\n")
-    (tmp_path / "track.toml").write_text('kind = "timed"\nfile = "track.csv"\n')
-    files = Path(references.__file__).parent / "files"
-    for name in (str(tmp_path / "track.toml"), *(path.stem for path in files.glob("*.toml"))):
-        loaded = references.load(name)
-        sent = config.parse(tomllib.loads(config.to_toml(loaded)), references.Reference, source="reference")
-        assert sent == loaded
+    assert "no router within 1 s" in capsys.readouterr().err

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import zstandard
 
 from ltv_mpc import references
 from ltv_mpc.bathymetry import Bathymetry
@@ -36,7 +35,7 @@ from services.run.summary import summarise_recording
 from services.tools import autopilot_log
 from services.tools.batch import results_store
 from services.tools.campaign import file as campaign
-from tests.services.recording.recordings import foreign
+from tests.services.recording.recordings import chunk, foreign_keys, record
 
 CPU_S, WALL_S, MAX_KB = 10.0, 120, 200_000
 
@@ -197,17 +196,6 @@ def test_what_is_no_regular_file_is_an_error_and_not_waited_for(kind, reader, tm
     refused(TEXTS.get(reader) or RECORDINGS[name], path)
 
 
-def record(opcode: int, content: bytes) -> bytes:
-    return bytes([opcode]) + len(content).to_bytes(8, "little") + content
-
-
-def chunk(data: bytes) -> bytes:
-    compressed = zstandard.compress(data)
-    packed = len(compressed).to_bytes(8, "little") + compressed
-    head = b"".join(value.to_bytes(8, "little") for value in (0, 0, len(data))) + (0).to_bytes(4, "little")
-    return record(6, head + b"\4\0\0\0zstd" + packed)
-
-
 EMPTY_MESSAGE = record(5, bytes(22))
 
 
@@ -260,9 +248,6 @@ def test_wrong_types_in_a_recording_are_skipped(reader, tmp_path) -> None:
         "scenario.toml": "a = " + "[" * 50_000,
         "config/vehicle.toml": "[" * 50_000,
     }
-    for key in keys:
-        path = foreign(tmp_path / "run.mcap", key, *MESSAGES, **metadata)
-        with bounded():
-            RECORDINGS[reader](path)
-        for left in (path, path.parent / "run.out"):
-            left.unlink(missing_ok=True)
+    path = foreign_keys(tmp_path / "run.mcap", keys, *MESSAGES, **metadata)
+    with bounded():
+        RECORDINGS[reader](path)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import threading
 from unittest.mock import Mock
 
 import pytest
@@ -11,12 +13,13 @@ from ltv_mpc.messages import Estimate, NodeStatus
 from services.bus.options import BusOptions
 from services.bus.outbox import Outbox
 from services.bus.session import open_session
+from services.cli.app import run
+from services.reporting import terminal
 from services.runtime.stopping import StopRequest
-from services.supervisor import loopback
 from services.supervisor.bus_monitor import Activity, BusMonitor
 from services.tools import watch
 from tests.services.words import status
-from tests.system.alone import CLI, started
+from tests.waiting import until
 
 
 def test_a_process_that_no_longer_publishes_is_named_silent() -> None:
@@ -37,25 +40,32 @@ def test_silence_has_its_duration_and_no_message_is_no_silence() -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
-    [((), "add --namespace fleet/boat"), (("--namespace", "fleet/boat"), "t 81.3 s  ")],
+    ("options", "says"),
+    [
+        ((), ("no message yet", "add --namespace fleet/boat")),
+        (("--namespace", "fleet/boat"), ("t 81.3 s  ", "depth 7.25 m")),
+    ],
     ids=["another namespace is named", "a vehicle without clock is shown by its estimates"],
 )
-def test_it_shows_what_a_bus_carries(options: tuple[str, ...], said: str) -> None:
-    endpoint = f"tcp/127.0.0.1:{loopback.free_port()}"
-    listening = BusOptions(listen=(endpoint,), namespace="fleet/boat")
+def test_it_shows_what_a_bus_carries(options, says, free_port, monkeypatch, capsys) -> None:
+    endpoint, request, shown = f"tcp/127.0.0.1:{free_port}", StopRequest(), io.StringIO()
+    monkeypatch.setattr(watch, "run_until_stopped", lambda console, work: work(request, console.say))
+    monkeypatch.setattr(terminal, "LINE_S", 0.0)  # in a pipe
     estimate = replace(Estimate.at_rest(depth_m=7.25), t_ns=81_300_000_000)
-    with (
-        open_session(listening, stop=StopRequest(), say=print) as session,
-        started(*CLI, "watch", "--connect", endpoint, *options) as (_, watching),
-    ):
+    watching = threading.Thread(target=run, args=(["watch", "--connect", endpoint, *options],))
+    listening = BusOptions(listen=(endpoint,), namespace="fleet/boat")
+    with open_session(listening, stop=StopRequest(), say=print) as session:
         outbox = Outbox(session, node="estimator", epoch=1, kinds=(NodeStatus, Estimate))
-        watching.until(lambda line: "no message yet" in line)  # it listens
 
-        def is_said(line: str) -> bool:
+        def says_all() -> bool:
             for message in (status("estimator"), estimate):
                 outbox.publish(message)
-            return said in line
+            shown.write(capsys.readouterr().err)
+            return all(text in shown.getvalue() for text in says)
 
-        shown = watching.until(is_said)
-    assert "depth 7.25 m" in shown or not options
+        watching.start()
+        try:
+            until(says_all)
+        finally:
+            request.request()
+            watching.join()

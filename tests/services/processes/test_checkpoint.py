@@ -116,9 +116,7 @@ def test_a_young_checkpoint_arms_if_resuming_is_allowed_and_never_after_stop_or_
 
 
 @pytest.mark.parametrize("authority", [Authority.CONTROLLER, Authority.STOPPED])
-def test_after_a_reboot_nothing_arms_and_no_time_or_position_is_used(
-    authority: Authority, opened: Opener, said: Said, path: Path
-) -> None:
+def test_after_a_reboot_nothing_arms_and_no_time_or_position_is_used(authority, opened, said, path) -> None:
     opened().keep(state(authority), KEPT_US)
     opened()  # the first one has written
     stamp, kept = parse(path.read_bytes())
@@ -147,9 +145,7 @@ def test_a_clock_that_was_set_meanwhile_moves_all_times_and_a_shared_one_none(
     np.testing.assert_array_equal(found.plan.t_ns, PLAN.t_ns + moved_ns)
 
 
-def test_a_checkpoint_that_is_damaged_or_of_another_reference_is_reported_and_not_used(
-    opened: Opener, said: Said, path: Path
-) -> None:
+def test_a_checkpoint_that_is_damaged_or_of_another_reference_is_reported_and_not_used(opened, said, path) -> None:
     opened().keep(ARMED, KEPT_US)
     assert restored(opened(reference='kind = "hold"\n')) is None
     assert "another --reference" in said()[-1]
@@ -202,9 +198,7 @@ def test_stop_and_disarm_wait_for_the_disk_and_cycles_do_not(opened: Opener, pat
 
 
 @pytest.mark.parametrize("authority", [Authority.CONTROLLER, Authority.STOPPED])
-def test_if_writing_fails_no_checkpoint_is_left_that_arms_after_a_stop(
-    authority: Authority, opened: Opener, said: Said, path: Path
-) -> None:
+def test_if_writing_fails_no_checkpoint_is_left_that_arms_after_a_stop(authority, opened, said, path) -> None:
     """The failure is counted and reported once, and so is its end."""
     draft = path.with_suffix(".state.part")
     checkpoint = opened()

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import struct
+import zlib
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+import zstandard
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
@@ -38,14 +41,20 @@ def write(
 
 
 def foreign(path: Path, key: str, *messages: bytes, **metadata: str) -> Path:
-    """Write a foreign recording: any bytes as messages, with correct checksums."""
+    """Write a foreign recording: any bytes as messages of a key, with correct checksums."""
+    return foreign_keys(path, (key,), *messages, **metadata)
+
+
+def foreign_keys(path: Path, keys: Iterable[str], *messages: bytes, **metadata: str) -> Path:
+    """Write the same messages, any bytes, on each of the keys."""
     with path.open("wb") as file:
         writer: Any = Writer(file)
         writer.start()
         writer.add_metadata("run", metadata)
-        channel = writer.register_channel(key, "json", 0)
-        for message in messages:
-            writer.add_message(channel, 0, message, 0)
+        for key in keys:
+            channel = writer.register_channel(key, "json", 0)
+            for message in messages:
+                writer.add_message(channel, 0, message, 0)
         writer.finish()
     return path
 
@@ -75,3 +84,20 @@ def chunks(path: Path) -> list[tuple[int, int, int]]:
         )
         for index in summary.chunk_indexes
     ]
+
+
+def text(value: bytes) -> bytes:
+    """Return a text as MCAP writes it."""
+    return struct.pack("<I", len(value)) + value
+
+
+def record(opcode: int, content: bytes, *, claimed: int | None = None) -> bytes:
+    """Return a record of MCAP, which may claim another length."""
+    return struct.pack("<BQ", opcode, len(content) if claimed is None else claimed) + content
+
+
+def chunk(data: bytes, *, size: int | None = None, compressed: bytes | None = None, by: bytes = b"zstd") -> bytes:
+    """Return a chunk of MCAP, which may claim another size, or hold something else than ``data``."""
+    packed = zstandard.compress(data) if compressed is None else compressed
+    head = struct.pack("<QQQI", 0, 0, len(data) if size is None else size, zlib.crc32(data))
+    return record(6, head + text(by) + struct.pack("<Q", len(packed)) + packed)

@@ -93,9 +93,7 @@ def test_each_inertial_sample_has_a_row_with_the_header_of_its_message(form: For
     assert [float(row["specific_force_mps2_2"]) for row in table] == 2 * [x.specific_force_mps2[2] for x in two.samples]
 
 
-def test_a_single_inertial_sample_of_an_older_recording_is_a_row_and_no_list_of_samples_is_counted(
-    tmp_path: Path,
-) -> None:
+def test_a_single_inertial_sample_of_an_older_recording_is_a_row_and_no_list_of_samples_is_counted(tmp_path) -> None:
     path = foreign(tmp_path / "run.mcap", "sensor/imu", b'{"t_ns": 5}', b'{"samples": 3}', b'{"samples": [1]}')
     assert export.export([path], tmp_path, "csv").unreadable == 2
     assert [row["t_ns"] for row in rows(tmp_path, "sensor-imu.csv")] == ["5"]

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import random
 import struct
-import zlib
 from pathlib import Path
-from typing import Any
 
 import lz4.frame
 import pytest
@@ -20,7 +18,7 @@ from services.recording import recover
 from services.recording.reader import Recording
 from services.recording.records import LARGE_BYTES, MAGIC, Records
 from services.recording.recover import Recovery, recovered_path, segments
-from tests.services.recording.recordings import START_NS, chunks, depth, write_depths
+from tests.services.recording.recordings import START_NS, chunk, chunks, depth, record, text, write_depths
 
 
 def messages(path: Path) -> list[tuple[str, int, bytes]]:
@@ -135,20 +133,6 @@ def test_where_nothing_can_be_saved_nothing_is_left_behind(whole: Path, tmp_path
     assert list(tmp_path.iterdir()) == [path]
 
 
-def record(opcode: int, content: bytes, *, claimed: int | None = None) -> bytes:
-    return struct.pack("<BQ", opcode, len(content) if claimed is None else claimed) + content
-
-
-def chunk(data: bytes, *, size: int | None = None, compressed: bytes | None = None, by: bytes = b"zstd") -> bytes:
-    packed = zstandard.compress(data) if compressed is None else compressed
-    head = struct.pack("<QQQI", 0, 0, len(data) if size is None else size, zlib.crc32(data))
-    return record(6, head + text(by) + struct.pack("<Q", len(packed)) + packed)
-
-
-def text(value: bytes) -> bytes:
-    return struct.pack("<I", len(value)) + value
-
-
 CHANNEL = record(4, struct.pack("<HH", 1, 0) + text(b"k") + text(b"json") + struct.pack("<I", 0))
 MESSAGE = record(5, struct.pack("<HIQQ", 1, 0, 5, 5) + b"{}")
 BOMB = zstandard.ZstdCompressor().compress(bytes(LARGE_BYTES + 1))
@@ -170,9 +154,7 @@ BOMB = zstandard.ZstdCompressor().compress(bytes(LARGE_BYTES + 1))
         (record(12, text(b"\xff") + text(b"")), "metadata"),
     ],
 )
-def test_a_record_that_lies_costs_no_memory_and_is_a_loss_with_its_reason(
-    content: bytes, why: str, tmp_path: Path
-) -> None:
+def test_a_record_that_lies_costs_no_memory_and_is_a_loss_with_its_reason(content, why, tmp_path) -> None:
     path = tmp_path / "run.mcap"
     path.write_bytes(MAGIC + CHANNEL + MESSAGE + content)
     records = Records(path)
@@ -198,9 +180,7 @@ def test_a_whole_recording_may_be_one_chunk(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("how", [{"compression": CompressionType.LZ4}, {"chunk_size": 1 << 26}])
-def test_a_file_that_another_program_has_written_anew_is_whole(
-    how: dict[str, Any], whole: Path, tmp_path: Path
-) -> None:
+def test_a_file_that_another_program_has_written_anew_is_whole(how, whole, tmp_path) -> None:
     with whole.open("rb") as before, (tmp_path / "run.mcap").open("wb") as file:
         reader, writer, channels = make_reader(before), Writer(file, **how), dict[int, int]()
         writer.start(profile="", library="other")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import os
-import resource
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -15,6 +14,7 @@ from ltv_mpc.messages import PressureDepth
 from services.bus import wire
 from services.recording import recover, segments
 from services.recording.segments import SegmentWriter
+from tests.disk import largest_file
 from tests.services.recording.recordings import sequences
 
 KEY = "sensor/depth"
@@ -61,9 +61,7 @@ def test_a_restarted_recorder_writes_the_next_segment_and_the_join_is_complete(p
     assert list(recover.join(path)) == []
 
 
-def test_a_join_for_which_there_is_no_room_leaves_every_segment_as_it_is(
-    path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_join_for_which_there_is_no_room_leaves_every_segment_as_it_is(path, monkeypatch) -> None:
     for sequence in range(2):
         with opened(path) as writer:
             put(writer, sequence)
@@ -108,21 +106,15 @@ def test_a_full_disk_returns_what_it_cannot_store_and_the_next_segment_has_what_
     assert sequences(path.with_name("run.2.mcap")) == [4]
 
 
-def test_while_there_is_no_room_every_try_is_in_vain_and_leaves_no_file(
-    path: Path,
-) -> None:
+def test_while_there_is_no_room_every_try_is_in_vain_and_leaves_no_file(path: Path) -> None:
     """There is not even room for the head of a file, of which a part is written."""
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     with opened(path, retry_s=0.0) as writer:
         fill_up(writer)
         put(writer, 0)
         writer.flush_if_due(now=True)
-        resource.setrlimit(resource.RLIMIT_FSIZE, (20, limits[1]))
-        try:
+        with largest_file(20):
             for sequence in range(1, 4):
                 put(writer, sequence)
-        finally:
-            resource.setrlimit(resource.RLIMIT_FSIZE, limits)
         assert [p.name for p in path.parent.iterdir()] == ["run.mcap"]
         put(writer, 4)
         assert writer.refused() == [(KEY, 7)] * 4

@@ -4,19 +4,15 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable
-from pathlib import Path
 
 import pytest
 
 from services.cli.app import run as cli
 from services.recording.reader import StoredMessage
-from services.run.folder import RunFolder
 from tests.services.replay.altered import Plain, rewritten
 
 
-def test_an_identical_replay_ends_with_0_and_reports_100_percent(
-    locked_run: RunFolder, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_identical_replay_ends_with_0_and_reports_100_percent(locked_run, capsys) -> None:
     assert cli(["replay", str(locked_run.path)]) == 0
     out, err = capsys.readouterr()
     lines = {line[:13].strip(): line[14:] for line in out.splitlines() if line}
@@ -27,9 +23,7 @@ def test_an_identical_replay_ends_with_0_and_reports_100_percent(
     assert err == ""
 
 
-def test_a_difference_ends_with_1_and_is_shown_field_by_field(
-    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_difference_ends_with_1_and_is_shown_field_by_field(recording, tmp_path, capsys) -> None:
     def damaged(stored: StoredMessage, plain: Plain) -> Iterable[Plain]:
         return [plain | {"north_m": 12.5}] if stored.key == "estimate" and plain["sequence"] == 7 else [plain]
 
@@ -46,9 +40,7 @@ def test_a_difference_ends_with_1_and_is_shown_field_by_field(
     assert f"replayed {verdict['first_difference']['fields'][0]['replayed']}" in field
 
 
-def test_with_other_settings_it_says_what_would_have_changed(
-    locked_run: RunFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_with_other_settings_it_says_what_would_have_changed(locked_run, tmp_path, capsys) -> None:
     settings = tmp_path / "mine.toml"
     settings.write_text("[weights]\nthrust = 0.3\n")
     assert cli(["replay", str(locked_run.path), "--with", str(settings)]) == 0
@@ -70,9 +62,7 @@ def test_with_other_settings_it_says_what_would_have_changed(
         (["{run}", "--node", "pilot"], "must be one of plant, sensors, estimator, controller"),
     ],
 )
-def test_bad_input_ends_with_2_and_one_line(
-    locked_run: RunFolder, capsys: pytest.CaptureFixture[str], words: list[str], wrong: str
-) -> None:
+def test_bad_input_ends_with_2_and_one_line(locked_run, capsys, words, wrong) -> None:
     assert cli(["replay", *(word.format(run=locked_run.path) for word in words)]) == 2
     out, err = capsys.readouterr()
     assert out == ""

@@ -112,9 +112,7 @@ def ping(sequence: int) -> tuple[StoredMessage, Header]:
         ),
     ],
 )
-def test_an_output_that_the_replay_did_not_make_is_a_difference_unless_its_record_is_lost(
-    heard: tuple[tuple[StoredMessage, Header], ...], what: str | None, steps: int | None
-) -> None:
+def test_an_output_that_the_replay_did_not_make_is_a_difference_unless_its_record_is_lost(heard, what, steps) -> None:
     """The file has nothing more of the node, which was killed."""
     epoch, outcome, _ = begun()
     for one in heard:

@@ -90,9 +90,7 @@ def test_the_same_values_in_another_spelling_are_another_frame(recording: Path, 
     ("key", "sequence", "node"),
     [("sensor/imu", 70, "estimator"), ("record/estimator", 120, "estimator"), ("world/truth", 120, "sensors")],
 )
-def test_a_lost_message_is_a_gap_and_all_before_it_is_compared(
-    recording: Path, tmp_path: Path, key: str, sequence: int, node: str
-) -> None:
+def test_a_lost_message_is_a_gap_and_all_before_it_is_compared(recording, tmp_path, key, sequence, node) -> None:
     verdict = replayed(rewritten(recording, tmp_path / "run.mcap", without(key, sequence)))
     assert verdict.identical  # of what can be compared
     (gap,) = of(verdict, node).gaps
@@ -113,9 +111,7 @@ def test_a_lost_output_is_counted_and_its_step_is_not_compared(recording: Path, 
 
 
 @pytest.mark.parametrize("damaged_first", [True, False])
-def test_a_damaged_copy_beside_the_right_frame_changes_nothing(
-    recording: Path, tmp_path: Path, damaged_first: bool
-) -> None:
+def test_a_damaged_copy_beside_the_right_frame_changes_nothing(recording, tmp_path, damaged_first) -> None:
     """As a recorder on both sides of a bad link receives it, for inputs and outputs."""
 
     def doubled(stored: StoredMessage, plain: Plain) -> Iterable[Plain]:

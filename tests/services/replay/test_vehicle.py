@@ -56,9 +56,7 @@ def recorded(
     return out
 
 
-def test_controller_and_estimator_replay_to_the_byte_from_their_own_settings(
-    recording: Path, settings: dict[str, NodeSettings], tmp_path: Path
-) -> None:
+def test_controller_and_estimator_replay_to_the_byte_from_their_own_settings(recording, settings, tmp_path) -> None:
     run = engine.Run(recorded(recording, tmp_path / "run.mcap", settings))
     verdict = engine.replay(run)
     assert (verdict.scenario, verdict.mode, run.names) == ("paper", "vehicle", ABOARD)
@@ -69,9 +67,7 @@ def test_controller_and_estimator_replay_to_the_byte_from_their_own_settings(
     assert not verdict.provenance_differences
 
 
-def test_other_settings_can_be_tried_on_a_vehicle_s_recording(
-    recording: Path, settings: dict[str, NodeSettings], locked_run: RunFolder, tmp_path: Path
-) -> None:
+def test_other_settings_can_be_tried_on_a_vehicle_s_recording(recording, settings, locked_run, tmp_path) -> None:
     run = engine.Run(recorded(recording, tmp_path / "run.mcap", settings))
     same = engine.what_if(run, locked_run.config("controller"))
     assert (same.changes, same.deviations[0].max_abs) == ((), 0.0)
@@ -99,9 +95,7 @@ def test_a_start_whose_settings_are_missing_is_not_replayed_with_those_of_anothe
     assert [gap.why for gap in verdict.nodes[0].gaps] == ["the settings of this controller are not in the file"]
 
 
-def test_settings_that_this_version_rejects_name_the_recording_and_the_field(
-    recording: Path, settings: dict[str, NodeSettings], tmp_path: Path
-) -> None:
+def test_settings_that_this_version_rejects_name_the_recording_and_the_field(recording, settings, tmp_path) -> None:
     wrong = settings["controller"].files | {"config/controller.toml": "horizon_s = -1.0\n"}
     changed = settings | {"controller": NodeSettings(node="controller", files=wrong, made_by={})}
     path = recorded(recording, tmp_path / "run.mcap", changed)

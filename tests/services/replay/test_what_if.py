@@ -29,9 +29,7 @@ def test_with_the_run_s_own_settings_nothing_changes(locked_run: RunFolder) -> N
         assert all(deviation.rms == deviation.max_abs == deviation.final == 0.0 for deviation in verdict.deviations)
 
 
-def test_another_weight_gives_other_plans_and_the_figures_are_those_of_the_thrusts(
-    locked_run: RunFolder, tmp_path: Path
-) -> None:
+def test_another_weight_gives_other_plans_and_the_figures_are_those_of_the_thrusts(locked_run, tmp_path) -> None:
     settings = tmp_path / "mine.toml"
     settings.write_text("horizon_s = 5.0\n[weights]\nthrust = 0.3\n")
     verdict = engine.what_if(engine.Run(locked_run.recording), settings)

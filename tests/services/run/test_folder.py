@@ -119,9 +119,7 @@ def test_what_is_no_run_is_refused_with_what_would_be(text: str, wrong: str) -> 
         folder.find(text)
 
 
-def test_a_folder_that_a_run_writes_is_refused_to_a_second_one_even_by_force(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_folder_that_a_run_writes_is_refused_to_a_second_one_even_by_force(tmp_path, capsys) -> None:
     out = tmp_path / "run"
     with folder.reserve("descent", FILES, out=out) as made:
         made.recording.write_bytes(b"any")

@@ -58,9 +58,7 @@ def test_sensors_that_stand_alone_are_kept_as_they_were_written(tmp_path: Path) 
 
 
 @pytest.mark.usefixtures("mine")
-def test_a_scenario_names_sensors_and_prior_from_its_own_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_scenario_names_sensors_and_prior_from_its_own_folder(tmp_path, monkeypatch) -> None:
     (tmp_path / "known.csv").write_text("depth_m,v_north_mps,u_east_mps,sd_mps,sd_common_mps\n0,0,0,1,0\n")
     (tmp_path / "s.toml").write_text('title = "x"\nsensors = "mine.toml"\n[estimator]\nwater_prior = "known.csv"\n')
     monkeypatch.chdir("/")

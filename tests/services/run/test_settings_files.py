@@ -5,20 +5,21 @@ from __future__ import annotations
 from pathlib import Path
 
 from ltv_mpc import references
-from ltv_mpc.config import loads, to_toml
+from ltv_mpc.config import loads
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.localisation.config import EstimatorConfig
 from services.run.settings_files import MAX_CHARACTERS, PRIOR, controller_files, estimator_files, node_settings
 
 
-def test_a_track_in_a_file_of_its_own_is_in_the_reference(tmp_path: Path) -> None:
+def test_a_reference_that_is_kept_is_the_one_that_was_loaded_with_a_track_of_another_file(tmp_path: Path) -> None:
     (tmp_path / "track.csv").write_text("t_s,north_m,east_m\n0,0,0\n100,10,0\n200,10,10\n")
     (tmp_path / "track.toml").write_text('kind = "timed"\nfile = "track.csv"\n')
-    files = controller_files("paper", str(tmp_path / "track.toml"), "", "", ControllerConfig())
     (tmp_path / "elsewhere").mkdir()
     alone = tmp_path / "elsewhere" / "reference.toml"
-    alone.write_text(files["config/reference.toml"])
-    assert to_toml(references.load(str(alone))) == to_toml(references.load(str(tmp_path / "track.toml")))
+    shipped = (Path(references.__file__).parent / "files").glob("*.toml")
+    for name in (str(tmp_path / "track.toml"), *(path.stem for path in shipped)):
+        alone.write_text(controller_files("paper", name, "", "", ControllerConfig())["config/reference.toml"])
+        assert references.load(str(alone)) == references.load(name)
 
 
 def test_a_path_and_a_fence_of_another_program_are_kept_as_toml(tmp_path: Path) -> None:

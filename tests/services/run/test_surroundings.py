@@ -93,9 +93,7 @@ def test_the_settings_that_a_controller_publishes_have_its_bathymetry(bottom: Pa
     assert node.controller.bathymetry is not None
 
 
-def test_what_cannot_be_used_is_rejected_before_anything_starts(
-    tmp_path: Path, fence: Path, bottom: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_cannot_be_used_is_rejected_before_anything_starts(tmp_path, fence, bottom, capsys) -> None:
     head, hull = resolve("descent").files["config/vehicle.toml"].split("[hull]")
     (tmp_path / "bare.toml").write_text(head + "[" + hull.split("\n[", 1)[1])
     needs_limit = r"\[limits\] min_altitude_m: is missing: a bathymetry needs it"

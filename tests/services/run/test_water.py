@@ -143,9 +143,7 @@ def test_the_saved_shared_error_is_the_filters_covariance_between_depths(first: 
 # --- what is handed on --------------------------------------------------------------------------------------------
 
 
-def test_the_estimator_starts_from_the_file_and_so_does_whoever_reads_its_estimates(
-    first: Visit, tmp_path: Path
-) -> None:
+def test_the_estimator_starts_from_the_file_and_so_does_whoever_reads_its_estimates(first, tmp_path) -> None:
     """The shear of the first visit is in the second one's estimates before its own pings can have seen it."""
     write_profile(tmp_path / "known.csv", first.saved)
     settings = ("run.duration_s=0.1", "run.seed=9")
@@ -162,7 +160,7 @@ def test_the_estimator_starts_from_the_file_and_so_does_whoever_reads_its_estima
     assert (informed.sd_mps[deep] < 0.5 * alone.sd_mps[deep]).all()
 
 
-def test_the_folder_holds_the_prior_and_runs_again_without_the_file_it_came_from(
+def test_the_folder_holds_prior_and_currents_and_runs_again_without_the_files_they_came_from(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -172,15 +170,16 @@ def test_the_folder_holds_the_prior_and_runs_again_without_the_file_it_came_from
     # The file's own table and the option name it from where each stands.
     text_of_scenario = 'title = "x"\n[run]\nsurface_time_s = 1.0\n[estimator]\nwater_prior = "known.csv"\n'
     Path("sea/mine.toml").write_text(text_of_scenario)
-    line = "--lockstep --duration-s 0.5"
+    Path("sea/now.csv").write_text("depth_m,v_north_mps,u_east_mps\n1,0.05,0\n20,0,0.05\n")
+    line = "--lockstep --duration-s 0.5 --sensors realistic"
     assert run(f"sim sea/mine.toml {line} --out a".split()) == 0
-    assert run(f"sim descent {line} --water-prior sea/known.csv --out b".split()) == 0
-    Path("sea/known.csv").unlink()
+    assert run(f"sim descent {line} --water-prior sea/known.csv --currents sea/now.csv --out b".split()) == 0
+    Path("sea").rename("elsewhere")
     for name in ("a", "b"):
         assert Path(name, "config/water-prior.csv").read_text() == text
         assert 'water_prior = "water-prior.csv"' in Path(name, "config/estimator.toml").read_text()
         Path(name).rename(f"moved-{name}")
-        assert run(f"sim moved-{name}/scenario.toml {line} --out again-{name}".split()) == 0
+        assert run(f"sim moved-{name}/scenario.toml --lockstep --out again-{name}".split()) == 0
         assert Path(f"again-{name}/run.mcap").read_bytes() == Path(f"moved-{name}/run.mcap").read_bytes()
 
 

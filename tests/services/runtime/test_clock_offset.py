@@ -96,6 +96,7 @@ def test_a_one_way_clock_is_behind_by_the_smallest_delay_and_states_no_error(ppm
         assert reading.mode is ClockMode.ONE_WAY
         assert reading.error_ns is None
         behind.append((theirs(m_us) - m_us * 1000 - reading.offset_ns) * 1e-9 + told_s)
+    assert clock.clock_steps == 0
     settled = behind[len(behind) // 4 :]
     assert least_s <= min(settled) <= max(settled) <= most_s
 
@@ -202,16 +203,6 @@ def test_a_link_that_is_slow_one_way_is_no_step_where_receipts_show_it():
         arrives = m_us + (2_000 if m_us < 20_000_000 else 1_500_000)
         clock.add_stamp(m_us * 1000, arrives)
         clock.add_receipt((m_us - 100_000 + 2_000) * 1000, m_us - 100_000)
-    assert clock.clock_steps == 0
-
-
-@pytest.mark.parametrize("two_way", [True, False])
-@pytest.mark.parametrize("delay", [jumping, steady, mostly_quick])
-@pytest.mark.parametrize("seed", range(2))
-def test_delays_that_vary_are_no_steps(two_way, delay, seed):
-    clock = ClockOffsetEstimator()
-    for _ in exchanged(clock, drifting(YEARS_NS, 50.0), out=delay, back=delay, reports=two_way, seed=seed):
-        pass
     assert clock.clock_steps == 0
 
 

@@ -62,9 +62,7 @@ def test_a_status_tells_again_nothing_that_a_plan_has_told(changes: ControllerCh
     assert told[2:] == [("info", "authority", "authority: stopped", 5, {"authority": "stopped"})]
 
 
-def test_the_source_of_the_estimates_is_told_when_it_or_its_publisher_changes(
-    changes: ControllerChanges, told: Told
-) -> None:
+def test_the_source_of_the_estimates_is_told_when_it_or_its_publisher_changes(changes, told) -> None:
     for source, epoch in (("", 0), ("default", 7), ("default", 7), ("default", 8), ("usbl", 9), ("usbl", 9)):
         changes.on_status(msgspec.structs.replace(STATUS, source=source, source_epoch=epoch))
     assert [(text, fields) for _, kind, text, _, fields in told if kind == "source"] == [

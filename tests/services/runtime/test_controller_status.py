@@ -225,9 +225,7 @@ def test_prometheus_reads_every_figure_in_seconds_with_labels_escaped(free_port:
     assert 'ltv_mpc_source{epoch="6",name="gnss"} 0.0' in body
 
 
-def test_the_status_names_the_sources_and_shows_the_error_of_the_one_in_use(
-    node: ControllerNode,
-) -> None:
+def test_the_status_names_the_sources_and_shows_the_error_of_the_one_in_use(node: ControllerNode) -> None:
     report = ControllerStatusReporter(node)
     for k in range(12):
         t_ns = k * S // 10
@@ -254,8 +252,6 @@ def test_the_status_names_the_sources_and_shows_the_error_of_the_one_in_use(
         ("POST", "/metrics", None, 501),
     ],
 )
-def test_nothing_else_is_answered_and_no_other_name_is_taken(
-    free_port: int, metrics: Metrics, method: str, path: str, host: str | None, code: int
-) -> None:
+def test_nothing_else_is_answered_and_no_other_name_is_taken(free_port, metrics, method, path, host, code) -> None:
     metrics.show(STATUS)
     assert asked(free_port, method, path, host)[0] == code

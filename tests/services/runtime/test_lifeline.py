@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import os
 import socket
-import subprocess
-import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -18,8 +15,8 @@ from services.runtime.lifeline import GO, HEARTBEAT_PERIOD_US, Lifeline
 from services.runtime.stage_timer import StageTimer
 from services.runtime.stopping import StopRequest
 from services.supervisor import loopback
-
-PATIENCE_S = 240.0
+from tests.system.alone import CLI, started
+from tests.waiting import until
 
 
 @pytest.fixture(params=["path", "abstract"])
@@ -41,9 +38,7 @@ def received(receiver: socket.socket) -> list[str]:
             return texts
 
 
-def test_the_manager_is_told_ready_status_stopping_and_four_times_in_its_time_out_that_the_loop_runs(
-    manager: tuple[socket.socket, str],
-) -> None:
+def test_the_manager_is_told_ready_status_stopping_and_four_times_in_its_time_out_that_the_loop_runs(manager) -> None:
     receiver, address = manager
     process = Lifeline()
     process.connect({"NOTIFY_SOCKET": address, "WATCHDOG_USEC": "2000000", "WATCHDOG_PID": str(os.getpid())})
@@ -65,9 +60,7 @@ def test_the_manager_is_told_ready_status_stopping_and_four_times_in_its_time_ou
 
 @pytest.mark.parametrize("manager", ["path"], indirect=True)
 @pytest.mark.parametrize("watchdog", [{}, {"WATCHDOG_USEC": "2000000", "WATCHDOG_PID": "1"}, {"WATCHDOG_USEC": "soon"}])
-def test_without_a_watchdog_of_this_process_none_is_notified(
-    watchdog: dict[str, str], manager: tuple[socket.socket, str]
-) -> None:
+def test_without_a_watchdog_of_this_process_none_is_notified(watchdog, manager) -> None:
     receiver, address = manager
     process = Lifeline()
     process.connect({"NOTIFY_SOCKET": address, **watchdog})
@@ -110,9 +103,7 @@ def supervised(ends: tuple[socket.socket, socket.socket], state: bytes = b"") ->
     return process
 
 
-def test_a_supervised_loop_sends_a_heartbeat_each_turn_up_to_the_expected_rate(
-    supervisor: tuple[socket.socket, socket.socket], manager: tuple[socket.socket, str]
-) -> None:
+def test_a_supervised_loop_sends_a_heartbeat_each_turn_up_to_the_expected_rate(supervisor, manager) -> None:
     """It has no other watchdog: the service manager watches the supervisor."""
     process = supervised(supervisor)
     process.connect({"NOTIFY_SOCKET": manager[1], "WATCHDOG_USEC": "1000"})
@@ -127,9 +118,7 @@ def test_a_supervised_loop_sends_a_heartbeat_each_turn_up_to_the_expected_rate(
 
 
 @pytest.mark.parametrize("dead", [True, False])
-def test_a_receiver_that_is_dead_or_does_not_read_blocks_no_process(
-    supervisor: tuple[socket.socket, socket.socket], dead: bool
-) -> None:
+def test_a_receiver_that_is_dead_or_does_not_read_blocks_no_process(supervisor, dead) -> None:
     process = supervised(supervisor)
     if dead:
         supervisor[0].close()
@@ -139,15 +128,11 @@ def test_a_receiver_that_is_dead_or_does_not_read_blocks_no_process(
 
 
 @pytest.mark.parametrize("state", [bytes(2**21), b""])
-def test_a_restarted_process_reads_its_restored_state(
-    supervisor: tuple[socket.socket, socket.socket], state: bytes
-) -> None:
+def test_a_restarted_process_reads_its_restored_state(supervisor, state) -> None:
     assert supervised(supervisor, state).state == state
 
 
-def test_a_process_whose_supervisor_is_dead_exits_before_it_starts(
-    supervisor: tuple[socket.socket, socket.socket],
-) -> None:
+def test_a_process_whose_supervisor_is_dead_exits_before_it_starts(supervisor) -> None:
     supervisor[0].close()
     with pytest.raises(SystemExit):
         Lifeline().connect_to_supervisor(supervisor[1].detach())
@@ -159,18 +144,11 @@ def test_an_estimator_reports_ready_and_notifies_the_watchdog(manager: tuple[soc
     """Its unit has ``Type=notify`` and a watchdog: without these systemd would end it at its start."""
     receiver, address = manager
     endpoint = f"tcp/127.0.0.1:{loopback.free_port()}"
-    line = [sys.executable, "-P", "-m", "services.cli", "estimator", "--connect", endpoint]
-    environment = os.environ | {"NOTIFY_SOCKET": address, "WATCHDOG_USEC": "5000000"}
+    environment = ("env", f"NOTIFY_SOCKET={address}", "WATCHDOG_USEC=5000000")
+    texts: list[str] = []
     with (
         open_session(BusOptions(listen=(endpoint,)), stop=StopRequest(), say=print),
-        subprocess.Popen(line, env=environment) as estimator,
+        started(*environment, *CLI, "estimator", "--connect", endpoint),
     ):
-        try:
-            receiver.settimeout(PATIENCE_S)
-            texts, until = [], time.monotonic() + PATIENCE_S
-            while "WATCHDOG=1" not in texts:
-                assert time.monotonic() < until
-                texts.append(receiver.recv(4096).decode())
-        finally:
-            estimator.terminate()
+        until(lambda: texts.extend(received(receiver)) or "WATCHDOG=1" in texts)
     assert [text for text in texts if not text.startswith("STATUS")] == ["READY=1", "WATCHDOG=1"]

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import pytest
 
-from ltv_mpc.messages import Battery, ClockState, Estimate, GnssFix, Leak, Manual, Message, UsblFix
+from ltv_mpc.messages import Battery, ClockState, Estimate, GnssFix, Leak, Manual, UsblFix
 from services.runtime.clock import ClockSegment, VehicleClock
 from services.runtime.node_status import (
     HURRIED_PERIOD_US,
@@ -74,7 +73,5 @@ def test_the_queue_after_one_long_step_is_no_backlog() -> None:
         ((Estimate, Battery, Leak, Manual), None, "estimate"),  # nor the instruments that a vehicle may lack
     ],
 )
-def test_what_a_process_waits_for_is_what_its_node_needs(
-    inputs: tuple[type[Message], ...], node_waits: Callable[[], str] | None, says: str
-) -> None:
+def test_what_a_process_waits_for_is_what_its_node_needs(inputs, node_waits, says) -> None:
     assert WaitingFor(running(1), inputs, node_waits=node_waits).text(SENT) == says

@@ -60,9 +60,7 @@ def test_the_monotonic_clock_of_another_host_does_not_date_a_message(times: Publ
         assert times.at(of_another_host_us, now_us) == arrived_ns
 
 
-def test_a_vehicle_clock_that_is_set_leaves_the_time_axis_without_a_step(
-    times: PublicationTime,
-) -> None:
+def test_a_vehicle_clock_that_is_set_leaves_the_time_axis_without_a_step(times: PublicationTime) -> None:
     now_us = begin(times)
     for k in range(1, 60):
         stamp(times, now_us + k * S_US // 10, set_by_ns=60 * S_NS)

@@ -15,16 +15,7 @@ import msgpack
 import pytest
 from msgspec.structs import replace
 
-from ltv_mpc.messages import (
-    Clock,
-    Estimate,
-    Message,
-    NodeStatus,
-    PressureDepth,
-    RejectedFrame,
-    RunEvent,
-    StepRecord,
-)
+from ltv_mpc.messages import Clock, Estimate, Message, NodeStatus, PressureDepth, RejectedFrame, RunEvent, StepRecord
 from services.bus.options import BusOptions
 from services.bus.outbox import Outbox
 from services.bus.session import open_session
@@ -106,9 +97,7 @@ def depth(sequence: int, sent_us: int) -> bytes:
     return bytes(msgpack.packb(message | {"sequence": sequence, "sent_monotonic_us": sent_us}))
 
 
-def test_a_frame_with_a_wrong_header_neither_moves_the_others_nor_ends_the_recording(
-    tmp_path: Path, free_port: int
-) -> None:
+def test_a_frame_with_a_wrong_header_neither_moves_the_others_nor_ends_the_recording(tmp_path, free_port) -> None:
     def say(out: Outbox, put: Callable[[bytes], None]) -> None:
         out.publish(running_clock(monotonic_us(), epoch=EPOCH))
         put(depth(0, monotonic_us()))
@@ -139,9 +128,7 @@ def test_messages_without_room_in_the_mailbox_count_as_dropped(tmp_path: Path, f
     assert own[-1]["dropped"] == 5  # 3 of which are also the gap before sequence 3
 
 
-def test_messages_lost_by_a_full_disk_are_counted_and_reported(
-    tmp_path: Path, free_port: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_messages_lost_by_a_full_disk_are_counted_and_reported(tmp_path, free_port, monkeypatch) -> None:
     original = RunWriter.write_plain
     full = iter([OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))])
 

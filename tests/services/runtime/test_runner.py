@@ -25,8 +25,6 @@ from ltv_mpc.messages import (
     Message,
     NodeSettings,
     NodeStatus,
-    Obstacle,
-    Obstacles,
     Plan,
     PressureDepth,
     RejectedFrame,
@@ -412,33 +410,6 @@ def test_without_a_clock_estimates_give_the_time_and_what_contradicts_it_is_reje
     for _, message, header in beside.heard:
         if isinstance(message, Plan):
             assert -1e9 < message.cycle_t_ns - (offset_ns + header.sent_monotonic_us * 1000) <= reading.error_ns
-
-
-@pytest.mark.parametrize("sync_to_inputs", [False, True], ids=["clock", "stamps"])
-def test_obstacles_from_the_future_are_rejected_with_the_reason(bus: BusOptions, sync_to_inputs: bool) -> None:
-    """As with stamps in UTC, where vehicle time began at 0; those with vehicle time come in."""
-    node, start_ns = controller(Obstacles), time.monotonic_ns()
-    options = ClockOptions(sync_to_inputs=True) if sync_to_inputs else master(start_ns=1)
-    with running(bus, Runner(node, clock=options)) as beside:
-        out, receiver = beside.out(Estimate), beside.out(Obstacles, epoch=6)
-
-        def planned() -> int:
-            if sync_to_inputs:
-                out.publish(msgspec.structs.replace(Estimate.at_rest(), t_ns=time.monotonic_ns() - start_ns))
-            time.sleep(0.05)
-            return len(beside.of(Plan))
-
-        until(planned)
-        velocity = {"velocity_north_mps": 0.0, "velocity_east_mps": 0.0}
-        for t_ns in (0, 1_700_000_000_000_000_000):
-            ship = Obstacle(id=7, t_ns=t_ns, north_m=0.0, east_m=9.0, radius_m=1.0, **velocity)
-            receiver.publish(Obstacles(t_ns=t_ns, obstacles=(ship,)))
-        before = planned()
-        until(lambda: planned() >= before + 2)
-    (rejected,) = beside.of(RejectedFrame)
-    assert rejected.key == "obstacles"
-    assert rejected.reason.startswith("t_ns of an obstacle is ahead of the vehicle's time: obstacle 7, by ")
-    assert sum(isinstance(message, Obstacles) for message in node.heard) == 1
 
 
 def test_a_command_does_not_wait_for_the_next_cycle(bus: BusOptions) -> None:

@@ -47,9 +47,7 @@ def opened(log: Log) -> Callable[[], NodeIO]:
     return lambda: NodeIO("controller", Outbox(log, node="controller", epoch=3, kinds=kinds), log)  # type: ignore[arg-type]
 
 
-def test_a_state_is_kept_before_it_and_the_acknowledgement_are_published(
-    opened: Callable[[], NodeIO], log: Log
-) -> None:
+def test_a_state_is_kept_before_it_and_the_acknowledgement_are_published(opened, log) -> None:
     io = opened()
     for message in (STOPPED, ACKNOWLEDGED):
         io.publish(message)

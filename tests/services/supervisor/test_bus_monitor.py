@@ -108,9 +108,7 @@ def test_the_plan_in_force_is_the_one_that_the_actuators_report(ether: Ether, wa
     np.testing.assert_array_equal(found.thrust_N, PLAN.thrust_N)
 
 
-def test_a_new_process_receives_its_checkpoint_the_newest_estimate_and_the_plan(
-    ether: Ether, watch: BusMonitor
-) -> None:
+def test_a_new_process_receives_its_checkpoint_the_newest_estimate_and_the_plan(ether, watch) -> None:
     assert {watch.restore_state(node) for node in ("controller", "estimator", "recorder", "router")} == {b""}
     ether.put(plan(0), epoch=5)
     ether.put(following(0))

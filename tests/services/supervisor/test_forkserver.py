@@ -94,9 +94,7 @@ def started(crew: ProcessGroup, name: str, task: str, code: int | str = 0) -> Ma
         ("exits", "many", 2, "ltv-mpc: Expected `int`, got `str` - at `$.code`"),
     ],
 )
-def test_a_child_has_its_own_exit_code_and_log(
-    crew: ProcessGroup, forked: bool, task: str, code: int | str, exit_code: int, last: str
-) -> None:
+def test_a_child_has_its_own_exit_code_and_log(crew, forked, task, code, exit_code, last) -> None:
     if not forked:
         crew.forks._end(crew.forks.servers[0])
     child = started(crew, "plant", task, code)
@@ -107,9 +105,7 @@ def test_a_child_has_its_own_exit_code_and_log(
 
 
 @pytest.mark.parametrize("forked", [True, False])
-def test_a_child_belongs_to_the_supervisor_and_its_group_is_that_of_the_cleanup(
-    crew: ProcessGroup, forked: bool
-) -> None:
+def test_a_child_belongs_to_the_supervisor_and_its_group_is_that_of_the_cleanup(crew, forked) -> None:
     if not forked:
         crew.forks._end(crew.forks.servers[0])
     child = started(crew, "plant", "sleeps")
@@ -156,9 +152,7 @@ def test_its_spare_forks_in_its_place_and_makes_another_spare(crew: ProcessGroup
         plant.kill()
 
 
-def test_what_a_slow_fork_server_forks_too_late_ends_and_takes_nothing_from_the_other_child(
-    crew: ProcessGroup, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_a_slow_fork_server_forks_too_late_ends_and_takes_nothing_from_the_other_child(crew, monkeypatch) -> None:
     late: list[int | None] = []
     (server,) = crew.forks.servers
     reply = server.reply
@@ -170,9 +164,7 @@ def test_what_a_slow_fork_server_forks_too_late_ends_and_takes_nothing_from_the_
 
 
 @pytest.mark.parametrize("forked", [True, False])
-def test_a_child_that_dies_before_it_is_let_go_on_has_its_exit_code(
-    crew: ProcessGroup, monkeypatch: pytest.MonkeyPatch, forked: bool
-) -> None:
+def test_a_child_that_dies_before_it_is_let_go_on_has_its_exit_code(crew, monkeypatch, forked) -> None:
     """The forked one cannot open its log, and the spawned one stops before it reads its lifeline."""
     if forked:
         (Path(crew.forks.log.parent) / "plant.log").mkdir()

@@ -41,9 +41,7 @@ def found_s(lacked_s: Callable[[], float], until_s: float, *, heart: HangDetecto
         (0.5 * TICK_S, 0.8),  # it had one half of the time
     ],
 )
-def test_silence_with_a_processor_for_longer_than_the_patience_is_a_hang(
-    lacked_s: float, found_after_s: float | None
-) -> None:
+def test_silence_with_a_processor_for_longer_than_the_patience_is_a_hang(lacked_s, found_after_s) -> None:
     found = found_s(lambda: lacked_s, 60.0)
     assert found is None if found_after_s is None else found == pytest.approx(3.0 + found_after_s, abs=0.06)
 

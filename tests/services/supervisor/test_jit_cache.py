@@ -45,9 +45,7 @@ def test_an_edit_of_a_source_is_not_compiled_yet(cache: Path, monkeypatch: pytes
 
 @pytest.mark.usefixtures("cache")
 @pytest.mark.parametrize(("scenario", "warm"), [("no-such-scenario", False), ("descent", True)])
-def test_the_cache_is_marked_where_every_part_is_compiled(
-    scenario: str, warm: bool, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_cache_is_marked_where_every_part_is_compiled(scenario, warm, capfd, monkeypatch) -> None:
     """The part uses the real cache, which is full: the bar does not end at half."""
     for name in ("solver", "controller"):
         monkeypatch.delitem(jit_cache.PARTS, name)

@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from services.bus.options import BusOptions
-from services.processes import settings
 from services.run import folder
 from services.run.run_config import Override, RunConfig, resolve
 from services.supervisor import process_table
@@ -22,9 +21,7 @@ def made(tmp_path: Path, *given: str) -> tuple[RunConfig, folder.RunFolder, BusO
 
 
 @pytest.mark.parametrize("row", process_table.PROCESSES, ids=lambda row: row.name)
-def test_a_config_that_was_written_is_read_as_it_was_by_the_module_of_its_row(
-    row: process_table.ProcessRow, tmp_path: Path
-) -> None:
+def test_a_config_that_was_written_is_read_as_it_was_by_the_module_of_its_row(row, tmp_path) -> None:
     run_config, run, own = made(tmp_path, "controller.horizon_s=7.3", "run.compute_delay_s=0.1")
     config = process_table.config_of(row.name, run_config, run, own)
     write_config(tmp_path / "config.json", config)
@@ -34,16 +31,3 @@ def test_a_config_that_was_written_is_read_as_it_was_by_the_module_of_its_row(
     assert (bus.role, bus.namespace, bus.certs) == (row.name, "auv/7", tmp_path / "certs")
     assert (bus.listen if row.name == "router" else bus.connect) == own.connect
     assert callable(module.main)
-
-
-def test_settings_and_files_are_those_of_the_run_s_folder(tmp_path: Path) -> None:
-    known = tmp_path / "known.csv"
-    known.write_text("depth_m,v_north_mps,u_east_mps,sd_mps,sd_common_mps\n0,0,0,0.1,0\n50,0.5,-0.25,0.001,0\n")
-    of_run = made(tmp_path, "controller.horizon_s=7.3", "run.compute_delay_s=0.1", f"estimator.water_prior={known}")
-    controller, estimator = (process_table.config_of(name, *of_run) for name in ("controller", "estimator"))
-    assert isinstance(controller, settings.Controller)
-    assert isinstance(estimator, settings.Estimator)
-    assert (controller.resolved().horizon_s, controller.compute_delay_s) == (7.3, 0.1)
-    prior = Path(estimator.loaded().water_prior)
-    assert prior.parent == (tmp_path / "run" / "config").absolute()
-    assert prior.read_text() == known.read_text()

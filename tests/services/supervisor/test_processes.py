@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import os
-import resource
 import shutil
 import signal
 import subprocess
@@ -13,7 +12,6 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from itertools import takewhile
 from pathlib import Path
 from types import SimpleNamespace
 from typing import NamedTuple
@@ -37,10 +35,10 @@ from services.run.run_config import Override, RunConfig, resolve
 from services.runtime.stopping import StopRequest, hang_up_with_stderr, stop_on_signals
 from services.supervisor import jit_cache, loopback, supervisor
 from services.supervisor.screen import LiveView
+from tests.disk import largest_file
 from tests.procfs import alive, children_of, pid_of
+from tests.system.alone import CLI, started
 from tests.waiting import PATIENCE_S, until
-
-CLI = [sys.executable, "-P", "-m", "services.cli"]
 
 
 class Screen:
@@ -198,11 +196,20 @@ def test_a_request_to_kill_an_unknown_process_is_refused_and_changes_nothing(who
     assert refused == ['kill refused: no process "nobody\\n" in this run']
 
 
-def test_the_page_can_connect_before_anything_is_compiled_and_shows_the_share(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def run_with_empty_cache(
+    path: Path, monkeypatch: pytest.MonkeyPatch, fill: Callable[..., int], page: Page | None = None
+) -> supervisor.Outcome:
+    """Return the outcome of a run that compiles by ``fill``: of the processes the router alone is there."""
+    empty_cache = SimpleNamespace(is_warm=lambda: False, fill=fill, NOTE=jit_cache.NOTE)
+    monkeypatch.setattr(supervisor, "jit_cache", empty_cache)
     s = run_config(3.0)
-    run = folder.make("test", s.files, out=tmp_path / "run")
+    outcome = supervisor.run(s, folder.make("test", s.files, out=path), Screen(), page=page)
+    assert outcome.exit_code == 1
+    assert not children_of(os.getpid())
+    return outcome
+
+
+def test_the_page_can_connect_before_anything_is_compiled_and_shows_the_share(tmp_path, monkeypatch) -> None:
     page = Page()
 
     def fill(_scenario: object, _log: object, wait: Callable[[float], None]) -> int:
@@ -210,32 +217,32 @@ def test_the_page_can_connect_before_anything_is_compiled_and_shows_the_share(
         wait(0.43)
         return 3  # the run ends here
 
-    empty_cache = SimpleNamespace(is_warm=lambda: False, fill=fill, NOTE=jit_cache.NOTE)
-    monkeypatch.setattr(supervisor, "jit_cache", empty_cache)
-    outcome = supervisor.run(s, run, Screen(), page=page)
-    assert outcome.exit_code == 1
+    run_with_empty_cache(tmp_path / "run", monkeypatch, fill, page)
     assert [text for text in page.shown if "43% after 0 s" in text], page.shown
-    assert not children_of(os.getpid())
+
+
+def test_a_deleted_folder_ends_the_run_with_exit_1_and_its_name(tmp_path, monkeypatch) -> None:
+    path = tmp_path / "run"
+
+    def fill(_scenario: object, _log: object, wait: Callable[[float], None]) -> int:
+        shutil.rmtree(path)
+        wait(0.5)
+        return 0  # not reached
+
+    outcome = run_with_empty_cache(path, monkeypatch, fill)
+    assert outcome.why == f"{path}: the folder was deleted during the run"
 
 
 def test_on_an_empty_cache_nothing_is_compiled_before_the_run_says_so(tmp_path: Path) -> None:
     """Otherwise the address of the live page would come later: the supervisor proposes the horizon in plain Python."""
-    process = subprocess.Popen(
-        [*CLI, "sim", "--out", str(tmp_path / "run")],
-        env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")},
-        stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
-    try:
-        assert process.stderr is not None
-        lines = list(takewhile(lambda line: line.strip() != jit_cache.NOTE, process.stderr))
-        assert process.poll() is None
-        assert not list((tmp_path / "cache").rglob("*.nbc"))
-        assert any(line.startswith("horizon 13.8 s") for line in lines), lines
+    cache = tmp_path / "cache"
+    environment = ("env", f"NUMBA_CACHE_DIR={cache}")
+    with started(*environment, *CLI, "sim", "--out", str(tmp_path / "run")) as (process, lines):
+        lines.until(lambda line: line.strip() == jit_cache.NOTE)
+        assert not list(cache.rglob("*.nbc"))
+        assert any(line.startswith("horizon 13.8 s") for line in lines.said), lines.said
         process.send_signal(signal.SIGINT)
         assert process.wait(PATIENCE_S) == 130
-    finally:
-        process.kill()
-        process.communicate()
 
 
 def check_wait(screen: Screen, page: Page, limit_s: float) -> None:
@@ -243,54 +250,34 @@ def check_wait(screen: Screen, page: Page, limit_s: float) -> None:
     waited_s = page.asked_s[-1] - page.asked_s[0]
     assert 0.5 * limit_s < waited_s
     assert {view.phase for view in screen.views[: len(page.asked_s)]} == {"starting"}
-    assert page.shown == ["starting the processes"]
 
 
 def test_the_clock_waits_until_an_open_page_is_drawn(whole: WatchedRun) -> None:
     check_wait(whole.screen, whole.page, 1.0)
+    assert whole.page.shown == ["starting the processes"]
 
 
 @pytest.fixture(scope="module")
-def unwritten(tmp_path_factory: pytest.TempPathFactory) -> WatchedRun:
-    """Run with a page that is never drawn, whose results cannot be written: a folder takes the place of the file."""
+def without_room(tmp_path_factory: pytest.TempPathFactory) -> WatchedRun:
+    """Run with a page that is never drawn. The disk takes the settings, and not a second of the recording."""
     s = run_config(1.0)
-    run = folder.make("test", s.files, out=tmp_path_factory.mktemp("unwritten") / "run")
-    run.summary.mkdir()
+    run = folder.make("test", s.files, out=tmp_path_factory.mktemp("without_room") / "run")
     screen, page = Screen(), Page(drawn_s=1000.0)
-    with pytest.MonkeyPatch.context() as patch:
+    with pytest.MonkeyPatch.context() as patch, largest_file(100_000):
         patch.setattr(supervisor, "DRAWING_TIMEOUT_S", 0.5)
         outcome = supervisor.run(s, run, screen, page=page)
     return WatchedRun(run, outcome, screen, page, children_of(os.getpid()))
 
 
-def test_the_clock_does_not_wait_for_an_open_page_for_ever(unwritten: WatchedRun) -> None:
-    assert unwritten.outcome.summary is not None
-    assert unwritten.outcome.summary.duration_s == 1.0
-    check_wait(unwritten.screen, unwritten.page, 0.5)
+def test_the_clock_does_not_wait_for_an_open_page_for_ever(without_room: WatchedRun) -> None:
+    check_wait(without_room.screen, without_room.page, 0.5)
+    assert "diving" in {view.phase for view in without_room.screen.views}
 
 
-def test_a_run_whose_recording_found_no_room_is_not_complete(tmp_path: Path) -> None:
-    """The disk takes the settings, and not a second of the recording."""
-    s = run_config(3.0)
-    run = folder.make("test", s.files, out=tmp_path / "run")
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, limits[1]))
-    try:
-        outcome = supervisor.run(s, run, Screen())
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-        signal.signal(signal.SIGXFSZ, before)
+def test_a_run_whose_recording_found_no_room_is_not_complete(without_room: WatchedRun) -> None:
+    run, outcome, *_ = without_room
     assert (outcome.completed, outcome.exit_code) == (False, 1), outcome
     assert outcome.why
-    assert not list(run.path.rglob("*.part"))
-
-
-def test_results_that_cannot_be_written_leave_the_verdict_exit_1_and_no_draft(unwritten: WatchedRun) -> None:
-    run, outcome, *_ = unwritten
-    assert (outcome.completed, outcome.exit_code) == (False, 1)
-    assert outcome.why == f"{run.path}: the results cannot be written: Is a directory"
-    assert outcome.summary is not None
     assert not list(run.path.rglob("*.part"))
 
 
@@ -303,9 +290,7 @@ def test_the_estimator_starts_from_the_prior_and_the_run_saves_its_profile(whole
     assert learned.sd_mps[at] < 0.02
 
 
-def test_a_killed_or_hung_process_continues_where_it_was_and_a_killed_sensors_process_ends_the_run(
-    tmp_path: Path,
-) -> None:
+def test_a_killed_or_hung_process_continues_where_it_was_and_a_killed_sensors_process_ends_the_run(tmp_path) -> None:
     """One after the other, each as soon as the one before is back; first the fork server, which is replaced."""
     s = resolve("hover", [Override("test", ["run.duration_s=600", "run.surface_time_s=2", "run.speed=1"])])
     run = folder.make("test", s.files, out=tmp_path / "run")
@@ -368,9 +353,7 @@ def test_a_killed_or_hung_process_continues_where_it_was_and_a_killed_sensors_pr
             assert node.node == "controller" or len(node.gaps) == 1
 
 
-def test_ctrl_c_ends_everything_in_order_and_leaves_a_valid_recording(
-    launcher: tuple[subprocess.Popen[bytes], Path],
-) -> None:
+def test_ctrl_c_ends_everything_in_order_and_leaves_a_valid_recording(launcher) -> None:
     process, out = launcher
     pids = children_of(process.pid)
     assert len(pids) >= 7  # six, the guard, and who forks them
@@ -382,14 +365,6 @@ def test_ctrl_c_ends_everything_in_order_and_leaves_a_valid_recording(
     found, keys = recorded(out / "run.mcap")
     assert (found.whole, found.missing) == (True, 0)
     assert keys["world/truth"].messages > 0
-
-
-def test_a_deleted_folder_ends_the_run_with_exit_1_and_its_name(tmp_path: Path) -> None:
-    s = run_config(600.0)
-    run = folder.make("test", s.files, out=tmp_path / "run")
-    outcome = supervisor.run(s, run, Screen(lambda: shutil.rmtree(run.path)))
-    assert (outcome.exit_code, outcome.why) == (1, f"{run.path}: the folder was deleted during the run")
-    assert not children_of(os.getpid())
 
 
 class ClosedStream(io.StringIO):
@@ -420,9 +395,7 @@ def test_with_json_the_clock_waits_for_no_page(tmp_path: Path, monkeypatch: pyte
     assert asked == [True, False]
 
 
-def test_a_killed_supervisor_leaves_no_orphan_and_the_recorder_completes_its_file(
-    launcher: tuple[subprocess.Popen[bytes], Path],
-) -> None:
+def test_a_killed_supervisor_leaves_no_orphan_and_the_recorder_completes_its_file(launcher) -> None:
     """One child is stopped, so that it cannot end itself (for one that holds the GIL: test_forkserver)."""
     process, out = launcher
     pids = children_of(process.pid)
@@ -433,30 +406,19 @@ def test_a_killed_supervisor_leaves_no_orphan_and_the_recorder_completes_its_fil
 
 
 def test_nodes_started_in_the_wrong_order_name_what_they_wait_for_and_continue(tmp_path: Path, free_port: int) -> None:
-    endpoint = f"tcp/127.0.0.1:{free_port}"
-    scenario = tmp_path / "short.toml"
+    endpoint, scenario = f"tcp/127.0.0.1:{free_port}", tmp_path / "short.toml"
     scenario.write_text('title = "short"\n[run]\nduration_s = 1.0\nspeed = 5.0\nperfect_state = true\n')
-    bus = ["--connect", endpoint, "--namespace", "test"]
-    logs = {name: tmp_path / f"{name}.log" for name in ("controller", "sensors", "plant")}
-    arguments = {"sensors": [str(scenario)], "plant": [str(scenario)]}
-    processes: dict[str, subprocess.Popen[bytes]] = {}
-    try:
-        for name, log in logs.items():
-            with log.open("wb") as file:
-                processes[name] = subprocess.Popen(
-                    [*CLI, name, *arguments.get(name, []), *bus], stdin=subprocess.DEVNULL, stderr=file
-                )
-        until(
-            lambda: all(f"`ltv-mpc router --listen {endpoint}` starts one" in log.read_text() for log in logs.values())
-        )
-        processes["router"] = subprocess.Popen([*CLI, "router", "--listen", endpoint], stderr=subprocess.DEVNULL)
-        assert processes["plant"].wait(PATIENCE_S) == 0
-        assert "waiting for" in logs["plant"].read_text()
-        for name in ("sensors", "controller", "router"):
-            processes[name].send_signal(signal.SIGTERM)
-            assert processes[name].wait(PATIENCE_S) == 0
-    finally:
-        for process in processes.values():
-            if process.poll() is None:
-                process.kill()
-            process.wait()
+    bus = ("--connect", endpoint, "--namespace", "test")
+    with (
+        started(*CLI, "controller", *bus) as (controller, of_controller),
+        started(*CLI, "sensors", str(scenario), *bus) as (sensors, of_sensors),
+        started(*CLI, "plant", str(scenario), *bus) as (plant, of_plant),
+    ):
+        for lines in (of_controller, of_sensors, of_plant):
+            lines.until(lambda line: f"`ltv-mpc router --listen {endpoint}` starts one" in line)
+        with started(*CLI, "router", "--listen", endpoint) as (router, _):
+            of_plant.until(lambda line: "waiting for" in line)
+            assert plant.wait(PATIENCE_S) == 0
+            for process in (sensors, controller, router):
+                process.send_signal(signal.SIGTERM)
+                assert process.wait(PATIENCE_S) == 0

@@ -67,8 +67,6 @@ def test_what_may_not_be_restarted_ends_the_run_with_its_last_lines(
         (0, 0, 10.2, True),
     ],
 )
-def test_a_process_is_back_with_the_first_message_of_another_epoch(
-    old_epoch: int, epoch: int, arrived_s: float, over: bool
-) -> None:
+def test_a_process_is_back_with_the_first_message_of_another_epoch(old_epoch, epoch, arrived_s, over) -> None:
     failure = Failure("was ended by SIGKILL", 9.9, old_epoch, restarted_s=10.1)
     assert failure.is_over(Activity(epoch, arrived_s)) == over

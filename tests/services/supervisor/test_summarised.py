@@ -16,7 +16,8 @@ from services.run.summary import STOPPED
 from services.runtime.stopping import StopRequest
 from services.supervisor import supervisor
 from services.supervisor.supervisor import Outcome, Supervisor
-from tests.services.recording.recordings import write_depths
+from tests.services.edges.plans import plan
+from tests.services.recording.recordings import write, write_depths
 
 
 class Screen:
@@ -45,9 +46,7 @@ def ended(path: Path) -> tuple[Supervisor, Any]:
 
 
 @pytest.mark.parametrize("while_stopping", [None, signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_a_second_signal_skips_the_summary(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, while_stopping: signal.Signals | None
-) -> None:
+def test_a_second_signal_skips_the_summary(tmp_path, monkeypatch, while_stopping) -> None:
     """It comes while the processes stop, or the summary is made. A terminal that closes hangs up twice: no skip."""
     monkeypatch.setattr(supervisor, "QUICK_S", -1.0 if while_stopping is None else 600.0)
     made, outcome = ended(tmp_path / "run")
@@ -67,3 +66,16 @@ def test_a_fifo_in_place_of_the_recording_is_not_waited_for(tmp_path: Path) -> N
     outcome = made._summarised(Outcome(completed=True, exit_code=0))
     assert (outcome.completed, outcome.exit_code) == (False, 1)
     assert outcome.why.endswith("run.mcap: is not a regular file")
+
+
+def test_results_that_cannot_be_written_leave_the_verdict_exit_1_and_no_draft(tmp_path: Path) -> None:
+    """A folder takes the place of the file."""
+    path = tmp_path / "run"
+    made, _ = ended(path)
+    write(path / "run.mcap", [("controller", plan(0), 1, 0, 0)])
+    (path / "summary.json").mkdir()
+    outcome = made._summarised(Outcome(completed=True, exit_code=0))
+    assert (outcome.completed, outcome.exit_code) == (False, 1)
+    assert outcome.why == f"{path}: the results cannot be written: Is a directory"
+    assert outcome.summary is not None
+    assert not list(path.rglob("*.part"))
