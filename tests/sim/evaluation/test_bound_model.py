@@ -105,7 +105,7 @@ def test_what_a_ping_says_of_each_error_is_the_change_of_the_simulated_beams():
         M = rotation_exp(e[MOUNTING]) @ rotation(*adcp.mounting_rad)
         column = water + np.column_stack([e[WATER : WATER + 21], e[WATER + 21 :]])
         turned = rotation_exp(e[ATTITUDE]) @ R
-        now = VehicleState(0, tuple(p + e[POSITION]), tuple(v + e[VELOCITY]), turned, np.zeros(3), 0.0)
+        now = VehicleState(0, tuple(p + e[POSITION]), tuple(v + e[VELOCITY]), turned, lambda: np.zeros(3), 0.0)
         beams = beam_directions(adcp.beam_angle_rad) @ M.T
         b = beam_velocities(now, adcp.lever_arm_m, beams, ranges, WaterSample(depths, column, column, 0.0))
         biases = e[BEAM_BIAS][:, None] + e[NEAR_BIAS][:, None] * np.exp(-ranges / adcp.near_bias_length_m)
