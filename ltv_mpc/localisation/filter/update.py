@@ -124,9 +124,10 @@ def correct(belief: Belief, rows: Rows, gate: float, deweight_limit: float = 0.0
     L, info = dpotrf(inflated, lower=1)
     if info != 0:
         return Correction(np.zeros_like(accepted), S, False, np.zeros(n), 0)
-    # [W, y] = L^-1 [H P, z] and Y = L^-1 H E, apart: how BLAS rounds one column depends on the number of columns, and W
-    # and y must be the same bits with any number of hypotheses.
-    W, y, Y = (_solve(L, rows_) for rows_ in (HP[used], z[used, None], rows.times(E)[used]))
+    # W = L^-1 H P, y = L^-1 z and Y = L^-1 H E, apart: how BLAS rounds one column depends on the number of columns, and W
+    # must be the same bits with any number of hypotheses. It is column-major: the transpose is solved from the right.
+    right = HP[used], z[used, None], rows.times(E)[used]
+    W, y, Y = (dtrsm(1.0, L, x.T, side=1, lower=1, trans_a=1, overwrite_b=1).T for x in right)
     error = y[:, 0] @ W
     belief.apply_error(error)
     a = heading_coupling(error, belief.layout)
@@ -134,9 +135,3 @@ def correct(belief: Belief, rows: Rows, gate: float, deweight_limit: float = 0.0
     belief.signatures.update(W, Y, y[:, 0])
     E += a[:, None] * E[HEADING]  # E := M E
     return Correction(accepted, S, True, error, int(np.count_nonzero(used)) - int(np.count_nonzero(accepted)))
-
-
-def _solve(L: Array, rows: Array) -> Array:
-    """Return L^-1 times ``rows``. BLAS is column-major: it solves the transpose from the right, without a copy."""
-    solved: Array = dtrsm(1.0, L, rows.T, side=1, lower=1, trans_a=1, overwrite_b=1).T
-    return solved
