@@ -20,7 +20,6 @@ alternate.
 from __future__ import annotations
 
 import enum
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -149,7 +148,7 @@ class PlanGate:
             raise ValueError(f"t_ns = {t_ns} is before {last_ns}, the time of the last command")
         while len(plans) > 1 and plans[1].start_ns <= t_ns:
             del plans[0]
-        targets: Sequence[float] = (0.0, 0.0, 0.0)  # no plan has started yet
+        targets: Triple | list[float] = (0.0, 0.0, 0.0)  # no plan has started yet
         if plans and plans[0].start_ns <= t_ns:
             targets = plans[0].plan.thrust_at(t_ns).tolist() if t_ns <= plans[0].end_ns else self._rest
         seconds = (t_ns - last_ns) * 1e-9

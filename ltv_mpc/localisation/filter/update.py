@@ -124,8 +124,8 @@ def correct(belief: Belief, rows: Rows, gate: float, deweight_limit: float = 0.0
     L, info = dpotrf(inflated, lower=1)
     if info != 0:
         return Correction(np.zeros_like(accepted), S, False, np.zeros(n), 0)
-    # W = L^-1 H P, y = L^-1 z and Y = L^-1 H E, apart: how BLAS rounds one column depends on the number of columns, and W
-    # must be the same bits with any number of hypotheses. It is column-major: the transpose is solved from the right.
+    # W = L^-1 H P, y = L^-1 z and Y = L^-1 H E, apart: how BLAS rounds one column depends on the number of columns, and
+    # W must be the same bits with any number of hypotheses. It is column-major: the transpose is solved from the right.
     right = HP[used], z[used, None], rows.times(E)[used]
     W, y, Y = (dtrsm(1.0, L, x.T, side=1, lower=1, trans_a=1, overwrite_b=1).T for x in right)
     error = y[:, 0] @ W
