@@ -678,10 +678,10 @@ class Plan(Message, frozen=True, kw_only=True, eq=False):
         ----------
         t_ns : time (ns).
         """
-        i = int(np.clip(np.searchsorted(self.t_ns, t_ns, side="right") - 1, 0, len(self.t_ns) - 2))
-        t0, t1 = int(self.t_ns[i]), int(self.t_ns[i + 1])
-        s = min(max((t_ns - t0) / (t1 - t0), 0.0), 1.0)
-        thrust: Array = self.thrust_N[i] + s * (self.thrust_N[i + 1] - self.thrust_N[i])
+        i = min(max(int(self.t_ns.searchsorted(t_ns, side="right")), 1), len(self.t_ns) - 1)
+        t0, t1 = self.t_ns[i - 1 : i + 1].tolist()
+        before, after = self.thrust_N[i - 1 : i + 1]
+        thrust: Array = before + min(max((t_ns - t0) / (t1 - t0), 0.0), 1.0) * (after - before)
         return thrust
 
 

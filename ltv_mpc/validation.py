@@ -72,7 +72,7 @@ def validator(kind: type[msgspec.Struct]) -> Validator:
         for name, field_type in _types(kind).items()
         for line in _checks(field_type, name, f"m.{name}", names, f"{kind.__name__}.")
     ]
-    lines.append("return relation(m)")
+    lines.append("return relation(m)" if kind in SHAPES or kind in RELATIONS else "return None")
     exec("def check(m):\n" + "\n".join(f"    {line}" for line in lines), names)
     check: Validator = names["check"]
     return check

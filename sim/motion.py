@@ -144,21 +144,13 @@ def step(flat: Array, vehicle: MotionState, y0: Array, y1: Array, held: bool, h:
 
 @jit
 def _revolutions(propeller: Propeller, rho: float, n: float, y0: float, y1: float, inflow: float, h: float) -> Triple:
-    """Return the revolutions at the start, the middle and the end of the step."""
+    """Return the revolutions at the start, the middle and the end: n(t) = w n(0) + w0 n_c(0) + w1 n_c(h)."""
     a = min(max(revolutions(y0, inflow, rho, propeller.diameter), -propeller.max_rps), propeller.max_rps)
     b = min(max(revolutions(y1, inflow, rho, propeller.diameter), -propeller.max_rps), propeller.max_rps)
-    return (
-        _lagged(propeller, n, a, b, 0.0, h),
-        _lagged(propeller, n, a, b, 0.5 * h, h),
-        _lagged(propeller, n, a, b, h, h),
-    )
-
-
-@jit
-def _lagged(propeller: Propeller, n: float, a: float, b: float, t: float, h: float) -> float:
-    """Return n(t) = w n(0) + w0 n_c(0) + w1 n_c(h), with n_c(0) = a and n_c(h) = b."""
-    w, w0, w1 = lag_weights(t, h, propeller.lag)
-    return w * n + w0 * a + w1 * b
+    s, s0, s1 = lag_weights(0.0, h, propeller.lag)
+    m, m0, m1 = lag_weights(0.5 * h, h, propeller.lag)
+    e, e0, e1 = lag_weights(h, h, propeller.lag)
+    return s * n + s0 * a + s1 * b, m * n + m0 * a + m1 * b, e * n + e0 * a + e1 * b
 
 
 @jit

@@ -144,11 +144,11 @@ class Plant:
 
     def _move(self, times_ns: list[int]) -> Array:
         """Simulate from the first of these times; return the observations at the others, (K, 18)."""
-        commands = np.array([self._gate.command_at(max(t, 0)) for t in times_ns[1:]])
+        commands = np.array([self._command, *(self._gate.command_at(max(t, 0)) for t in times_ns[1:])])
         t_ns = np.array(times_ns)
-        changes = np.abs(np.diff(np.vstack([self._command, commands]), axis=0))
-        self._slew = np.maximum(self._slew, (changes / (np.diff(t_ns) * 1e-9)[:, None]).max(axis=0))
-        self._command = commands[-1]
+        rates = np.abs(commands[1:] - commands[:-1]) / ((t_ns[1:] - t_ns[:-1]) * 1e-9)[:, None]
+        self._slew = np.maximum(self._slew, rates.max(axis=0))
+        self._command, commands = commands[-1], commands[1:]
         half_s = 0.5 * ((times_ns[1] - times_ns[0]) * 1e-9)
         if self._disturbance is not None and self._disturbance.end_t_ns <= times_ns[0]:
             self._disturbance = None

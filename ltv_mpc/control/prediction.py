@@ -158,7 +158,8 @@ class SentCommands:
         t, thrust = self.knots
         if not len(t):
             return np.zeros((len(t_ns), 3))
-        return np.stack([np.interp(t_ns - t[0], t - t[0], of_one) for of_one in thrust.T], axis=1)
+        at, knots = t_ns - t[0], t - t[0]
+        return np.array([np.interp(at, knots, of_one) for of_one in thrust.T]).T
 
 
 STEP_NS = 100_000_000

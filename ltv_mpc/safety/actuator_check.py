@@ -12,9 +12,7 @@ from __future__ import annotations
 
 from collections import deque
 
-import numpy as np
-
-from ltv_mpc.messages import Applied, Array, Health, Plan
+from ltv_mpc.messages import Applied, Array, Health, Plan, Triple
 from ltv_mpc.safety.health import NOMINAL, HealthState, plan_end_ns
 from ltv_mpc.vehicle.parameters import Vehicle
 
@@ -56,11 +54,11 @@ class ActuatorCheck:
         period_ns : period of the plans (ns).
         """
         thrusters = vehicle.thrusters[: 3 if vehicle.can_dive else 2]
-        self._tolerance_N = np.array(
-            [min(SHARE * max(-t.min_N, t.max_N), SLEW_SHARE * t.slew_N_per_s * period_ns * 1e-9) for t in thrusters]
-        )
-        self._slew_N_per_s = np.array([t.slew_N_per_s for t in thrusters])
-        self._last = 0, np.zeros(3)  # time and commands of the last report
+        self._tolerance_N = [
+            min(SHARE * max(-t.min_N, t.max_N), SLEW_SHARE * t.slew_N_per_s * period_ns * 1e-9) for t in thrusters
+        ]
+        self._slew_N_per_s = [t.slew_N_per_s for t in thrusters]
+        self._last: tuple[int, Triple] = 0, (0.0, 0.0, 0.0)  # time and commands of the last report
         self._period_ns, self._timeout_s = period_ns, vehicle.plan_timeout_s
         self._plans: deque[Plan] = deque()  # by their start
         self._since_ns: int | None = None  # first report of a contradiction
@@ -108,7 +106,7 @@ class ActuatorCheck:
         t_ns = applied.t_ns
         if self._since_ns is not None and t_ns < self._until_ns:
             self._since_ns, self.health = None, NOMINAL  # the clock was set back
-        (last_ns, last_N), command_N = self._last, np.array(applied.command_N)
+        (last_ns, last_N), command_N = self._last, applied.command_N
         self._last = t_ns, command_N
         if applied.why:
             self._contradicted(t_ns)
@@ -119,9 +117,9 @@ class ActuatorCheck:
         plans = self._in_force(applied)
         if not plans:
             return
-        reach_N = self._slew_N_per_s * max(t_ns - last_ns, 1) * 1e-9
-        changes = (command_N - last_N)[: len(reach_N)] / reach_N
-        if any(self._agrees(plan.thrust_at(t_ns) - command_N, changes) for plan in plans):
+        seconds, of_each = max(t_ns - last_ns, 1) * 1e-9, zip(command_N, last_N, self._slew_N_per_s, strict=False)
+        changes = [(now_N - before_N) / (slew * seconds) for now_N, before_N, slew in of_each]
+        if any(self._agrees((plan.thrust_at(t_ns) - command_N).tolist(), changes) for plan in plans):
             agreed_ns = max(SETTLED_NS if self.health is NOMINAL else AGREED_NS, self._period_ns)
             if self._since_ns is not None and t_ns - self._until_ns >= agreed_ns:
                 self._since_ns, self.health = None, NOMINAL
@@ -156,15 +154,16 @@ class ActuatorCheck:
         ends = self._period_ns, self._timeout_s
         return [plan for plan in accepted or recent if plan_end_ns(plan.t_ns, *ends) >= t_ns]
 
-    def _agrees(self, missing_N: Array, changes: Array) -> bool:
+    def _agrees(self, missing_N: list[float], changes: list[float]) -> bool:
         """Return True if each command is that of a plan, or approaches it.
 
-        ``missing_N`` (3,) is what a plan asks for beyond the commands, ``changes`` (2,) or (3,) the change of each
-        command since the last report, over that at the slew limit.
+        ``missing_N`` is what a plan asks for beyond the commands, ``changes`` the change of each command since the last
+        report, over that at the slew limit.
         """
-        missing_N = missing_N[: len(changes)]
-        same = np.abs(missing_N) <= self._tolerance_N
-        return bool((same | (np.sign(missing_N) * changes >= CATCH_UP_SHARE)).all())
+        return all(
+            abs(missing) <= tolerance or missing * change >= CATCH_UP_SHARE * abs(missing)
+            for missing, change, tolerance in zip(missing_N, changes, self._tolerance_N, strict=False)
+        )
 
-    def _text(self, thrust_N: Array) -> str:
+    def _text(self, thrust_N: Array | Triple) -> str:
         return " / ".join(f"{thrust:.1f}" for thrust in thrust_N[: len(self._tolerance_N)])

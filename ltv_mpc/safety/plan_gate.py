@@ -61,15 +61,15 @@ class PlanGate:
     """
 
     def __init__(self, vehicle: Vehicle) -> None:
-        self._limits = np.array([[t.min_N, t.max_N, t.slew_N_per_s] for t in vehicle.thrusters]).T
-        self._rest = np.array([0.0, 0.0, vehicle.failsafe_vertical_N])
+        self._limits = [(t.min_N, t.max_N, t.slew_N_per_s) for t in vehicle.thrusters]
+        self._rest = 0.0, 0.0, vehicle.failsafe_vertical_N
         self._timeout_s = vehicle.plan_timeout_s
         self._commander: int | None = None  # epoch of the controller whose plans are followed
         self._age = InputAge()  # of its plans, by the start of the cycle
         self._last_sequence: dict[int, int] = {}  # accepted, by epoch: an old frame is not followed again
         self._plans: list[_Accepted] = []  # the plan in force and those not started, by start time
         self._t_ns: int | None = None
-        self._command = np.zeros(3)
+        self._command = 0.0, 0.0, 0.0
         self.plans_late = 0
         """Number of plans accepted after their start time."""
         self.plans_rejected = 0
@@ -123,7 +123,7 @@ class PlanGate:
         if self._end_ns(plan) < t_ns:
             return PlanVerdict.ENDED
         thrust, seconds = plan.thrust_N, (plan.t_ns[1:] - plan.t_ns[:-1]) * 1e-9
-        low, high, slew = self._limits
+        low, high, slew = np.array(self._limits).T
         # written so that NaN is outside
         if not ((thrust >= low - TOLERANCE_N) & (thrust <= high + TOLERANCE_N)).all():
             return PlanVerdict.OUTSIDE_BOX
@@ -148,13 +148,13 @@ class PlanGate:
             raise ValueError(f"t_ns = {t_ns} is before {last_ns}, the time of the last command")
         while len(plans) > 1 and plans[1].start_ns <= t_ns:
             del plans[0]
-        target = np.zeros(3)  # no plan has started yet
+        targets: Triple | list[float] = (0.0, 0.0, 0.0)  # no plan has started yet
         if plans and plans[0].start_ns <= t_ns:
-            target = plans[0].plan.thrust_at(t_ns) if t_ns <= plans[0].end_ns else self._rest
-        low, high, slew = self._limits
-        # y + clip(T - y, -slew dt, slew dt), with T in the box
-        change, reach = np.minimum(np.maximum(target, low), high) - self._command, slew * ((t_ns - last_ns) * 1e-9)
-        self._command = self._command + np.minimum(np.maximum(change, -reach), reach)
-        self._t_ns = t_ns
-        port, starboard, vertical = self._command.tolist()
+            targets = plans[0].plan.thrust_at(t_ns).tolist() if t_ns <= plans[0].end_ns else self._rest
+        seconds = (t_ns - last_ns) * 1e-9
+        port, starboard, vertical = (
+            y + min(max(min(max(target, low), high) - y, -slew * seconds), slew * seconds)
+            for y, target, (low, high, slew) in zip(self._command, targets, self._limits, strict=True)
+        )
+        self._command, self._t_ns = (port, starboard, vertical), t_ns
         return port, starboard, vertical

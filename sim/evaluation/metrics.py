@@ -138,10 +138,9 @@ class ThrustCommands:
     def __init__(self, vehicle: Vehicle) -> None:
         self._vehicle = vehicle
         self._velocity_mps = 0.0, 0.0  # through the water, ahead and down, at the last truth
-        self._truth: Truth | None = None  # the last one from t = 0 on
-        self._delivered_slew: float | None = None  # N/s
         self._box = np.array([[t.min_N, t.max_N] for t in vehicle.thrusters])  # (3, 2): thruster, bound
         self._command = array("d")  # t, three commands, slew; the three thrusts, velocity ahead and down
+        self._delivered = array("d")  # t, delivered thrusts of port and starboard
 
     def add(self, applied: Applied) -> None:
         """Add the command in force."""
@@ -152,12 +151,7 @@ class ThrustCommands:
         """Add the velocity through the water, which is the inflow of the propellers, and the delivered thrust."""
         ahead, _, down = truth.water_velocity_mps
         self._velocity_mps = ahead, down
-        before = self._truth
-        if before is not None and truth.t_ns > before.t_ns:
-            change = max(abs(a - b) for a, b in zip(truth.thrust_N[:2], before.thrust_N[:2], strict=True))
-            slew = change / ((truth.t_ns - before.t_ns) * 1e-9)
-            self._delivered_slew = max(self._delivered_slew or 0.0, slew)
-        self._truth = truth if truth.t_ns >= 0 else None
+        self._delivered.extend((truth.t_ns, *truth.thrust_N[:2]))
 
     def thrust(self) -> Thrust:
         """Return statistics of the commands in force from t = 0 on."""
@@ -178,12 +172,19 @@ class ThrustCommands:
             mean_abs_N=float(np.average(_mean_abs(a, b).mean(axis=1), weights=h)),
             travel_N=float(np.sum(np.abs(b - a))),
             max_slew_N_per_s=float(np.max(rows[1:, 4])),
-            max_delivered_slew_N_per_s=self._delivered_slew,
+            max_delivered_slew_N_per_s=self._max_delivered_slew(),
             propulsive_energy_J=None if energy is None else float(energy.sum()),
             lateral_energy_J=None if energy is None else float(energy[:2].sum()),
             relative_power=float(np.average(0.5 * (relative[:-1] + relative[1:]), weights=h)),
             vertical_saturated_fraction=vertical,
         )
+
+    def _max_delivered_slew(self) -> float | None:
+        """Return the largest rate of change of a lateral thruster's thrust from t = 0 on (N/s)."""
+        rows = _rows(self._delivered, 3)
+        changes = np.diff(rows[rows[:, 0] >= 0.0], axis=0)
+        changes = np.abs(changes[changes[:, 0] > 0.0])
+        return float((changes[:, 1:].max(axis=1) / (changes[:, 0] * 1e-9)).max()) if len(changes) else None
 
     def _at_limits(self, F: Array) -> npt.NDArray[np.bool_]:
         """Return where each command is at one limit from one report to the next, (K-1, 3), for commands (K, 3) in N."""

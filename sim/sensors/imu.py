@@ -60,9 +60,9 @@ class InertialUnit:
         interval_ns = now.t_ns - before.t_ns
         dt = interval_ns * 1e-9
         white = self._walks / math.sqrt(dt) * self._draws.standard_normal(6)
-        means = increments(before.rotation, before.velocity_mps, now.rotation, now.velocity_mps, self._earth_rate, dt)
-        w0, w1, w2, f0, f1, f2 = (np.ravel(means) + white + self._bias.advance(dt)).tolist()
-        w, f = (w0, w1, w2), (f0, f1, f2)
+        e0, e1, e2, e3, e4, e5 = (white + self._bias.advance(dt)).tolist()
+        w, f = increments(before.rotation, before.velocity_mps, now.rotation, now.velocity_mps, self._earth_rate, dt)
+        w, f = (w[0] + e0, w[1] + e1, w[2] + e2), (f[0] + e3, f[1] + e4, f[2] + e5)
         return [ImuSample(t_ns=now.t_ns, interval_ns=interval_ns, angular_rate_radps=w, specific_force_mps2=f)]
 
 

@@ -6,6 +6,7 @@ w = phi / h; position and velocity are linear (at 100 Hz and 0.3 m/s2 that is of
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import msgspec
@@ -18,13 +19,13 @@ _ORIGIN = (0.0, 0.0, 0.0)
 
 
 class VehicleState(msgspec.Struct, frozen=True, eq=False):
-    """True pose and motion. ``rotation`` is body to world, ``angular_rate_radps`` in body axes."""
+    """True pose and motion. ``rotation`` is body to world, ``angular_rate_radps`` returns it in body axes."""
 
     t_ns: int
     position_m: Triple
     velocity_mps: Triple
     rotation: Array  # (3, 3)
-    angular_rate_radps: Array  # (3,), mean over the interval between the truths around it
+    angular_rate_radps: Callable[[], Array]  # (3,), mean over the interval between the truths around it
     heading_rate_radps: float
 
     def point_m(self, lever_m: Triple) -> Triple:
@@ -37,7 +38,7 @@ class VehicleState(msgspec.Struct, frozen=True, eq=False):
         """Return the velocity over ground of the vehicle's point ``lever_m``: v + R (w x l), NED."""
         if lever_m == _ORIGIN:
             return self.velocity_mps
-        return _plus(self.velocity_mps, self.rotation @ np.cross(self.angular_rate_radps, lever_m))
+        return _plus(self.velocity_mps, self.rotation @ np.cross(self.angular_rate_radps(), lever_m))
 
 
 class Motion(NamedTuple):
@@ -47,8 +48,14 @@ class Motion(NamedTuple):
     later: Truth
     R1: Array  # (3, 3) of the earlier
     R2: Array  # of the later
-    phi: Array  # (3,) log(R1^T R2)
-    rate: Array  # (3,) phi / h
+
+    def phi(self) -> Array:
+        """Return phi = log(R1^T R2), (3,)."""
+        return rotation_log(self.R1.T @ self.R2)
+
+    def rate(self) -> Array:
+        """Return phi / h (rad/s), (3,). Few sensors need it, so it is computed when one does."""
+        return self.phi() / ((self.later.t_ns - self.earlier.t_ns) * 1e-9)
 
     def at(self, t_ns: int) -> VehicleState:
         """Return the state at ``t_ns``, between the times of the two truths."""
@@ -60,7 +67,7 @@ class Motion(NamedTuple):
             t_ns,
             _mix(a.position_m, b.position_m, s),
             _mix(a.velocity_mps, b.velocity_mps, s),
-            self.R1 @ rotation_exp(s * self.phi),
+            self.R1 @ rotation_exp(s * self.phi()),
             self.rate,
             a.yaw_rate_radps + s * (b.yaw_rate_radps - a.yaw_rate_radps),
         )
@@ -72,9 +79,7 @@ def motion_between(earlier: Truth, later: Truth, before: Motion | None = None) -
     ``before`` is the motion that ended with the first truth, if it is known: its rotation is then not computed again.
     """
     R1 = before.R2 if before is not None and before.later is earlier else rotation(*earlier.attitude_rad)
-    R2 = rotation(*later.attitude_rad)
-    phi = rotation_log(R1.T @ R2)
-    return Motion(earlier, later, R1, R2, phi, phi / ((later.t_ns - earlier.t_ns) * 1e-9))
+    return Motion(earlier, later, R1, rotation(*later.attitude_rad))
 
 
 def _plus(a: Triple, b: Array) -> Triple:

@@ -37,7 +37,7 @@ def truth(t_ns: int = 0, **changes: Any) -> Truth:
 
 
 def instant(t_ns=0, *, attitude=STILL, position=(1.0, 2.0, 5.0), velocity=STILL, rate=STILL) -> VehicleState:
-    return VehicleState(t_ns, position, velocity, frames.rotation(*attitude), np.array(rate), 0.0)
+    return VehicleState(t_ns, position, velocity, frames.rotation(*attitude), lambda: np.array(rate), 0.0)
 
 
 def plant_of(*settings: str, vehicle: str = "paper") -> Plant:

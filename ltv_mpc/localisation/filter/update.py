@@ -30,7 +30,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg.blas import dtrsm
+from scipy.linalg.blas import dsyrk, dtrsm
 from scipy.linalg.lapack import dpotrf
 
 from ltv_mpc.jit import jit
@@ -78,17 +78,18 @@ def reduce_covariance(P: Array, W: Array, a: Array) -> None:
     W : (m', n) whitened rows.
     a : (n,) coupling vector of ``heading_coupling``.
     """
-    gain = W.T @ W
-    column = P[HEADING] - gain[HEADING]
-    _add(P, gain, a, column + 0.5 * column[HEADING] * a)
+    column = P[HEADING] - W[:, HEADING] @ W
+    dsyrk(-1.0, W.T, beta=1.0, c=P.T, lower=1, overwrite_c=1)  # BLAS is column-major: this is the upper triangle of P
+    _couple(P, a, column + 0.5 * column[HEADING] * a)
 
 
 @jit
-def _add(P: Array, gain: Array, a: Array, b: Array) -> None:
-    """Update P := P - gain + a b^T + b a^T in one pass; numpy needs five. Mirror elements are the same sums."""
+def _couple(P: Array, a: Array, b: Array) -> None:
+    """Update the upper triangle of P by a b^T + b a^T, and copy it to the lower one."""
     for i in range(len(a)):
-        for j in range(len(a)):
-            P[i, j] += (a[i] * b[j] + b[i] * a[j]) - gain[i, j]
+        for j in range(i, len(a)):
+            P[i, j] += a[i] * b[j] + b[i] * a[j]
+            P[j, i] = P[i, j]
 
 
 def correct(belief: Belief, rows: Rows, gate: float, deweight_limit: float = 0.0) -> Correction:
@@ -107,39 +108,30 @@ def correct(belief: Belief, rows: Rows, gate: float, deweight_limit: float = 0.0
     -------
     Result by row.
     """
-    P, E, signatures = belief.P, belief.signatures.error, belief.signatures
-    z, n, m = rows.residual, len(P), len(rows.residual)
-    H = rows.dense(n)
-    touched = np.flatnonzero(H.any(axis=0))  # 120 rows of a ping depend on 65 of 161 states
-    H = H[:, touched]
-    HP = H @ P[touched]
-    S = HP[:, touched] @ H.T
+    P, E, z = belief.P, belief.signatures.error, rows.residual
+    n, m = len(P), len(z)
+    HP = rows.times(P)
+    S = rows.times(np.ascontiguousarray(HP.T))
     S = 0.5 * (S + S.T)
     S.flat[:: m + 1] += rows.variance
-    variance = S.diagonal()
-    nis = z * z / variance
-    accepted, deweighted = nis <= gate, (gate < nis) & (nis <= deweight_limit)
-    used, inflated = accepted | deweighted, S.copy()
-    inflated.flat[:: m + 1] = np.where(deweighted, z * z / gate, variance)
+    variance, square = S.diagonal(), z * z
+    nis = square / variance
+    accepted, used = nis <= gate, nis <= max(gate, deweight_limit)
     if not used.any():
         return Correction(accepted, S, True, np.zeros(n), 0)
-    L, info = dpotrf(inflated[used][:, used], lower=1)
+    inflated = S[used][:, used]
+    inflated.flat[:: len(inflated) + 1] = np.maximum(variance, square / gate)[used]  # larger only beyond the gate
+    L, info = dpotrf(inflated, lower=1)
     if info != 0:
         return Correction(np.zeros_like(accepted), S, False, np.zeros(n), 0)
-    # [W, y] = L^-1 [H P, z] and Y = L^-1 H E, apart: how BLAS rounds one column depends on the number of columns, and W
-    # and y must be the same bits with any number of hypotheses.
-    white = _solve(L, np.hstack([HP, z[:, None]])[used])
-    W, y, Y = white[:, :n], white[:, n], _solve(L, (H @ E[touched])[used])
-    error = y @ W
+    # W = L^-1 H P, y = L^-1 z and Y = L^-1 H E, apart: how BLAS rounds one column depends on the number of columns, and
+    # W must be the same bits with any number of hypotheses. It is column-major: the transpose is solved from the right.
+    right = HP[used], z[used, None], rows.times(E)[used]
+    W, y, Y = (dtrsm(1.0, L, x.T, side=1, lower=1, trans_a=1, overwrite_b=1).T for x in right)
+    error = y[:, 0] @ W
     belief.apply_error(error)
     a = heading_coupling(error, belief.layout)
     reduce_covariance(P, W, a)
-    signatures.update(W, Y, y)
-    E += np.outer(a, E[HEADING])  # E := M E
-    return Correction(accepted, S, True, error, int(np.count_nonzero(deweighted)))
-
-
-def _solve(L: Array, rows: Array) -> Array:
-    """Return L^-1 times ``rows``. BLAS is column-major: it solves the transpose from the right, without a copy."""
-    solved: Array = dtrsm(1.0, L, rows.T, side=1, lower=1, trans_a=1, overwrite_b=1).T
-    return solved
+    belief.signatures.update(W, Y, y[:, 0])
+    E += a[:, None] * E[HEADING]  # E := M E
+    return Correction(accepted, S, True, error, int(np.count_nonzero(used)) - int(np.count_nonzero(accepted)))

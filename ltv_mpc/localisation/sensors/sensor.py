@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Protocol, TypeAlias,
 import numpy as np
 import numpy.typing as npt
 
+from ltv_mpc.jit import jit
 from ltv_mpc.localisation.filter.state import Belief
 from ltv_mpc.localisation.sensors.settings import SensorSettings
 from ltv_mpc.messages import Array, Message, Triple
@@ -33,16 +34,26 @@ class Rows(NamedTuple):
     residual: Array  # (m,)
     variance: Array  # (m,)
 
-    def dense(self, size: int) -> Array:
-        """Return the measurement matrix H, (m, n), for a state of ``size`` n.
+    def times(self, A: Array) -> Array:
+        """Return the product H A of the measurement matrix H (m, n), (m, k).
 
         Parameters
         ----------
-        size : number of states n.
+        A : (n, k), C-contiguous.
         """
-        H = np.zeros((len(self.residual), size))
-        np.add.at(H, (np.arange(len(H))[:, None], self.state), self.partial)
-        return H
+        product = np.zeros((len(self.residual), A.shape[1]))
+        _add_product(self.state, self.partial, A, product)
+        return product
+
+
+@jit
+def _add_product(state: Indices, partial: Array, A: Array, product: Array) -> None:
+    """Add H A to the product."""
+    for i in range(state.shape[0]):
+        for w in range(state.shape[1]):
+            row, factor, to = A[state[i, w]], partial[i, w], product[i]
+            for j in range(len(row)):  # over whole rows it is vectorised
+                to[j] += factor * row[j]
 
 
 _NO_ROWS = Rows(np.empty((0, 1), dtype=np.int64), np.empty((0, 1)), np.empty(0), np.empty(0))

@@ -199,7 +199,7 @@ def test_between_two_truths_the_attitude_turns_about_one_axis_and_the_rest_is_li
         rates[1] * math.cos(roll) + rates[2] * math.sin(roll) * math.cos(pitch),
         -rates[1] * math.sin(roll) + rates[2] * math.cos(roll) * math.cos(pitch),
     ]
-    np.testing.assert_allclose(instant.angular_rate_radps, body, atol=1e-6)
+    np.testing.assert_allclose(instant.angular_rate_radps(), body, atol=1e-6)
 
 
 def test_a_perfect_state_is_the_truth_with_the_true_profile_in_the_estimators_cells():

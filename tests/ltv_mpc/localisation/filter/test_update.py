@@ -54,7 +54,7 @@ def test_an_update_is_the_textbooks(belief, m, touched):
     """
     rows, P = random_rows(m, touched), belief.P.copy()
     E, score = belief.signatures.error.copy(), belief.signatures.score.copy()
-    H, R = rows.dense(LAYOUT.size), np.diag(rows.variance)
+    H, R = rows.times(np.eye(LAYOUT.size)), np.diag(rows.variance)
     K = np.linalg.solve(H @ P @ H.T + R, H @ P).T
     I_KH = np.eye(LAYOUT.size) - K @ H
     correction = correct(belief, rows, OPEN)
