@@ -122,6 +122,13 @@ def test_jumps_repeat_and_a_delay_waits() -> None:
     assert mission_of([HOME], ORIGIN, 0.5, HERE, dives=False) is None
 
 
+def test_items_that_are_not_reached_are_told() -> None:
+    found = mission(
+        item(1, 16, north_m=9.0), item(2, 20), item(3, 16, east_m=9.0), item(4, 93, 1.0, x=0, y=0), item(5, 82)
+    )
+    assert found.texts[-1] == "not reached, behind item 2: 3, 5"
+
+
 @pytest.mark.parametrize(
     ("refused", "dives", "says"),
     [
