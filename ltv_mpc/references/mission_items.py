@@ -16,7 +16,7 @@ import numpy as np
 from msgspec import structs
 
 from ltv_mpc.messages import Pair
-from ltv_mpc.references.geodesy import Origin, local
+from ltv_mpc.references.geodesy import MAX_DISTANCE_M, Origin, local
 from ltv_mpc.references.path import MAX_POINTS
 from ltv_mpc.references.shapes import SAME_M, Waypoint
 
@@ -32,6 +32,9 @@ DRIVEN = (*PLACES, RETURN, DELAY, JUMP, CHANGE_SPEED)
 
 GLOBAL, RELATIVE = (0, 5), (3, 6)
 """MAV_FRAME of an altitude above the sea, and above home: global, and the same with integers."""
+
+MAX_SPEED_MPS, MAX_WAIT_S, MAX_DEPTH_M = 20.0, 1e6, 11_000.0
+"""Bounds of a waypoint."""
 
 MAX_STEPS = 2000
 """Largest number of items that are driven, with all repetitions."""
@@ -196,6 +199,8 @@ class _Writer:
         if not self.stops:
             self._add(0, self._last(item))
         number, place, speed_mps = self.stops[-1]
+        if place.wait_s + wait_s > MAX_WAIT_S:
+            raise ItemRefused(item, f"cannot wait for {place.wait_s + wait_s:g} s, more than {MAX_WAIT_S:g} s")
         self.stops[-1] = Stop(number, structs.replace(place, wait_s=place.wait_s + wait_s), speed_mps)
 
     def drive(self, item: Item, of: Item) -> None:
@@ -267,20 +272,21 @@ def _problem(item: Item, items: Sequence[Item], dives: bool) -> str:
         return "is not driven here"
     if command in PLACES and item.frame not in (*GLOBAL, *RELATIVE):
         return f"frame {item.frame} must be global"
-    if command in PLACES and dives and (item.frame not in RELATIVE or not item.altitude_m <= 0.0):
-        return f"altitude {item.altitude_m:g} m in frame {item.frame} must be 0 or negative, relative to home"
-    if command == LOITER_TURNS and not (0.0 < first < math.inf and 0.0 < abs(third) < math.inf):
-        return "needs turns (param 1) and a radius (param 3)"
+    if command in PLACES and dives and (item.frame not in RELATIVE or not -MAX_DEPTH_M <= item.altitude_m <= 0.0):
+        return f"altitude {item.altitude_m:g} m in frame {item.frame} must be {-MAX_DEPTH_M:g} to 0, relative to home"
+    if command == LOITER_TURNS and not (0.0 < first < math.inf and 0.0 < abs(third) <= MAX_DISTANCE_M):
+        return f"needs turns (param 1) and a radius (param 3) of at most {MAX_DISTANCE_M:g} m"
     if command == RETURN and not items[0].has_place:
         return "has no home"
     if command == DELAY and not 0.0 < first < math.inf:
         return "needs seconds (param 1)"
     if command == JUMP and not (first in {one.number for one in items[1:]} and 0.0 <= second < math.inf):
         return f"must go to an item from 1 to {items[-1].number}, and not for ever"
-    if command in TIMED and (first < 0.0 or first == math.inf):
+    if command in TIMED and (first < 0.0 or first == math.inf or (command == LOITER_TIME and math.isnan(first))):
         return f"cannot wait for {first:g} s (param 1)"
     if command == CHANGE_SPEED and first not in SPEED_TYPES:
         return f"type of speed {first:g} (param 1) must be 0 or 1: those of climb and descent are not driven"
-    if command == CHANGE_SPEED and not (0.0 < second < math.inf or second in (-1.0, -2.0)):
-        return f"speed {second:g} m/s must be above 0, and finite"
+    if command == CHANGE_SPEED and not (0.0 < second <= MAX_SPEED_MPS or second in (-1.0, -2.0)):
+        bound = f"at most {MAX_SPEED_MPS:g} m/s" if MAX_SPEED_MPS < second < math.inf else "above 0, and finite"
+        return f"speed {second:g} m/s must be {bound}"
     return ""

@@ -155,7 +155,7 @@ class SlipTest:
         if slip in OF_ESTIMATES and by_kinematics < least:
             return
         by_model = self._by_model(undone, segments)
-        if max(by_kinematics, by_model) > least:
+        if by_kinematics + by_model > least:
             self._evidence[slip] = by_kinematics, by_model - (least if slip in GENERAL else 0.0)
 
     @property

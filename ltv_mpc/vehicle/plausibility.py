@@ -37,6 +37,8 @@ ARM_OVER_SIZE = (0.02, 5.0)
 ARM_OVER_BEAM = 0.75
 """Largest arm over the hull's beam, which thrusters at the sides hardly exceed; in feet it is 3.3 times as many."""
 REFERENCE_POINT_OVER_SIZE = 5.0
+ASTERN_OVER_AHEAD, TABLE_OVER_THRUST = (0.15, 3.0), (0.9, 8.0)
+"""Ratios of ``min_N``, and of the end of ``pwm_N``, to ``max_N``: a kgf is 9.8 N, a lbf 4.4 N."""
 MIN_THRUSTER_TIME_S = 0.02
 MAX_THRUSTER_TIME_S = 5.0
 MAX_DRAG_RATE_PER_S = 10.0
@@ -81,6 +83,8 @@ def _size_warnings(vehicle: Vehicle) -> Iterator[str]:
             f"{mass:g} kg, of which {low:.2g} to {high:.2g} m are usual"
         )
     elif vehicle.hull is not None:
+        if (beam_m := vehicle.hull.beam_m) > vehicle.hull.length_m:
+            yield f"[hull] beam_m = {beam_m:g}: wider than length_m = {vehicle.hull.length_m:g}; is it in m?"
         low, high = (vehicle.hull.length_m * bound for bound in GYRATION_OVER_LENGTH)
         if not low <= gyration <= high:
             yield (
@@ -110,7 +114,7 @@ def _lateral_thruster_warnings(vehicle: Vehicle) -> Iterator[str]:
             yield f"[thruster.{name}] arm_m = {thruster.arm_m:g}: {fits}; is it in m?"
         if thruster.min_N == 0.0:
             yield f"[thruster.{name}] min_N = 0: no thrust astern, so the vehicle cannot brake"
-        yield from _thruster_time_warnings(f"[thruster.{name}]", thruster)
+        yield from _thruster_warnings(f"[thruster.{name}]", thruster)
     push, mass = vehicle.pushes_N[0], vehicle.surge.mass_kg
     low, high = ACCELERATION_MPS2
     if not low <= push / mass <= high:
@@ -118,7 +122,14 @@ def _lateral_thruster_warnings(vehicle: Vehicle) -> Iterator[str]:
         yield f"[thruster] {push:g} N on {mass:g} kg is {push / mass:.2g} m/s2: {usual}"
 
 
-def _thruster_time_warnings(where: str, thruster: Thruster) -> Iterator[str]:
+def _thruster_warnings(where: str, thruster: Thruster) -> Iterator[str]:
+    for name, force_N, (low, high) in (
+        ("min_N", abs(thruster.min_N), ASTERN_OVER_AHEAD),
+        ("pwm_N", max(thruster.pwm_N, default=0.0), TABLE_OVER_THRUST),
+    ):
+        if force_N and not low <= force_N / thruster.max_N <= high:
+            usual = f"{low:g} to {high:g} times as much is usual; are both in N (not in kgf, lbf or gf)?"
+            yield f"{where} {name} of {force_N:g} and max_N = {thruster.max_N:g}: {usual}"
     full_s = thruster.max_N / thruster.slew_N_per_s + thruster.lag_s
     field = f"{where} lag_s = {thruster.lag_s:g}, slew_N_per_s = {thruster.slew_N_per_s:g}"
     if full_s < MIN_THRUSTER_TIME_S:
@@ -179,7 +190,7 @@ def _heave_warnings(vehicle: Vehicle) -> Iterator[str]:
     if not vehicle.can_dive:
         return
     vertical, up = vehicle.thrusters[2], vehicle.net_buoyancy_N
-    yield from _thruster_time_warnings("[thruster.vertical]", vertical)
+    yield from _thruster_warnings("[thruster.vertical]", vertical)
     if up > vertical.max_N:
         yield f"net_buoyancy_N = {up:g}: above the vertical thruster's max_N = {vertical.max_N:g}, cannot dive"
     if up < vertical.min_N:

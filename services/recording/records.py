@@ -4,9 +4,10 @@
     record  opcode (u8), length (u64), content; little-endian throughout
     chunk   a record whose content is compressed records, with their CRC-32
 
-If its writer was killed, a file is truncated: everything complete before that place is read. The unit of loss is a
-chunk, because zstd decompresses no incomplete block, and a wrong CRC does not tell which byte of the chunk is wrong.
-Memory is bounded by ``LARGE_BYTES`` or ``LARGE_RATIO`` times the largest record, whatever lengths the file claims.
+If its writer was killed, a file is truncated: everything before that place is read, of a chunk that is cut what its
+complete blocks (zstd: 128 KiB) decompress to, without its CRC. Else the unit of loss is a chunk, because a wrong CRC
+does not tell which byte of it is wrong. Memory is bounded by ``LARGE_BYTES`` or ``LARGE_RATIO`` times the largest
+record, whatever lengths the file claims.
 
 Source: https://mcap.dev/spec
 """
@@ -21,7 +22,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from io import BytesIO
 from pathlib import Path
-from typing import BinaryIO, NamedTuple, TypeAlias
+from typing import Any, BinaryIO, NamedTuple, TypeAlias
 
 import lz4.frame
 import zstandard
@@ -32,6 +33,7 @@ from mcap.records import Channel, Chunk, Message, Metadata, Schema
 
 from ltv_mpc.config import open_file
 from ltv_mpc.errors import ConfigError
+from services.bus.topics import topic_at
 
 MAGIC = b"\x89MCAP0\r\n"
 MAX_RATIO, FREE_BYTES = 200, 1 << 14
@@ -41,13 +43,14 @@ LARGE_RATIO, LARGE_BYTES = 20, 1 << 25
 MAX_TABLE = 10_000
 """Number of channels and schemas of a file that are read."""
 
-ENCODING = "json"
-"""Encoding of our messages."""
+ENCODING, OWN = "json", "ltv_mpc."
+"""Encoding of our messages, and the begin of the names of their schemas."""
 FOREIGN = (
     "was not written by `ltv-mpc recorder`. A bag of ROS 2: play it, with `ltv-mpc ros2` and the recorder beside it."
 )
 
 _HEAD = struct.Struct("<BQ")
+_CHUNK = struct.Struct("<16xQ4xI")
 _MESSAGE = struct.Struct("<HIQQ")
 
 NAMES = {int(opcode): opcode.name.lower().replace("_", " ") for opcode in Opcode}
@@ -145,6 +148,12 @@ class Records:
                     continue
                 if head:
                     what = f"a record of {length} bytes" if length else "the head of a record"
+                    if opcode == Opcode.CHUNK:
+                        there = 0
+                        for record in filter(self._is_known, _cut_chunk(file, self.size - file.tell())):
+                            there += 1
+                            yield record
+                        what = f"a chunk of {length} bytes, of which the first {there} records are read"
                     self._lose(start, self.size - start, f"cut in {what}")
                 return
             content = file.read(length)
@@ -166,7 +175,8 @@ class Records:
         rest = file.read()
         self.finished = rest.startswith(MAGIC)
         if rest != MAGIC:
-            self._lose(self.size - len(rest), len(rest), "the end of the MCAP file is missing")
+            what = "bytes behind the end of the MCAP file" if self.finished else "the end of the MCAP file is missing"
+            self._lose(self.size - len(rest), len(rest), what)
 
     def _lose(self, offset: int, length: int, why: str) -> None:
         self.losses.append(Loss(offset, length, why))
@@ -182,8 +192,10 @@ class Records:
         if isinstance(record, Schema):
             self._schemas[record.id] = record.name
         elif isinstance(record, Channel):
-            if record.message_encoding != ENCODING and not self._channels:
-                what = f"{record.topic}, {self._schemas.get(record.schema_id, '')} as {record.message_encoding}"
+            schema = self._schemas.get(record.schema_id, "")
+            ours = schema.startswith(OWN) or not schema or topic_at(record.topic) is not None
+            if (record.message_encoding != ENCODING or not ours) and not self._channels:
+                what = f"{record.topic}, {schema} as {record.message_encoding}"
                 raise ConfigError(f"recording {self.path}", "", f"{FOREIGN} It has {what}"[:300])
             self._channels.add(record.id)
         return True
@@ -218,6 +230,31 @@ def _in_chunk(chunk: Chunk) -> list[Record]:
         found += (_message(data[start:end]),) if opcode == Opcode.MESSAGE else _decoded(opcode, data[start:end])
         start = end
     return found
+
+
+def _cut_chunk(file: BinaryIO, there: int) -> Iterator[Record]:
+    """Yield the records of a chunk that is cut after ``there`` bytes, as far as they can be decompressed."""
+    try:
+        size, name_bytes = _CHUNK.unpack(file.read(_CHUNK.size))
+        compression = file.read(min(name_bytes, there))
+        file.seek(8, 1)  # the length of the compressed records
+        stream = _STREAMS[compression](file)
+        left = min(size, FREE_BYTES + LARGE_RATIO * there)
+        while True:
+            opcode, length = _HEAD.unpack(stream.read(_HEAD.size))
+            left -= _HEAD.size + length
+            if opcode not in IN_CHUNK or left < 0 or len(content := stream.read(length)) < length:
+                return
+            yield from _decoded(opcode, content)
+    except (*DECODING_ERRORS, EOFError, KeyError):
+        return
+
+
+_STREAMS: dict[bytes, Callable[[BinaryIO], Any]] = {
+    b"": lambda file: file,
+    b"zstd": zstandard.ZstdDecompressor(max_window_size=LARGE_BYTES).stream_reader,
+    b"lz4": lz4.frame.LZ4FrameFile,
+}
 
 
 def _message(content: bytes) -> Message:

@@ -9,14 +9,17 @@ with arming (LOG_DISARMED = 0) if its first event is to disarm, or if it has non
 
 Telemetry is of the first autopilot that it has. Its outputs are stamped in microseconds, which begin again after 71
 minutes, and all its stamps begin again when it is restarted: here they are counted on.
+
+Damage costs itself and is counted: bytes that are no message, values that cannot be, stamps that do not increase.
 """
 
 from __future__ import annotations
 
 import contextlib
+import io
 import math
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NamedTuple
@@ -26,8 +29,10 @@ import numpy.typing as npt
 
 from ltv_mpc.config import open_file
 from ltv_mpc.errors import ConfigError
+from ltv_mpc.localisation.pd0.reader import increasing
 from ltv_mpc.messages import Array, Estimate, Times
 from ltv_mpc.vehicle.parameters import Vehicle
+from services.edges.edge import Refused
 from services.edges.mavlink.autopilot import ARDUPILOT
 from services.edges.mavlink.navigation import RESTART_MS, Accuracy, Navigation
 
@@ -38,7 +43,7 @@ LEFT_RIGHT = (73, 74)
 """SERVOn_FUNCTION of port and starboard."""
 DEFAULT_OUTPUTS = (1, 3)
 """Their outputs by default, on a rover with skid steering."""
-WRAP_US = 1 << 32
+WRAP_US, MAX_US = 1 << 32, 1 << 53
 ARMED, DISARMED, SAFETY_ARMED = 10, 11, 128
 """Events of DataFlash, and the flag of HEARTBEAT.base_mode."""
 
@@ -59,6 +64,27 @@ class _Rows(NamedTuple):
     estimates: list[Estimate]
     outputs: list[tuple[int, dict[int, float], bool | None]]  # time (ns), PWM (us) by output, armed; None: unknown
     functions: dict[int, int]  # SERVOn_FUNCTION by output
+    damaged: set[str]  # a text for each place
+
+    def take(self, convert: Callable[[Any], Iterable[Estimate]], message: Any) -> None:
+        """Add the estimates of a message of position or attitude, if it can be one."""
+        try:
+            self.estimates.extend(convert(message))
+        except Refused as refusal:
+            self.damaged.add(f"{message.time_boot_ms} ms: {refusal}")
+
+
+class _Damage(io.TextIOBase):
+    """Stream for what pymavlink prints of damaged places, some of them twice."""
+
+    def __init__(self, places: set[str]) -> None:
+        self._places = places
+
+    def write(self, text: str) -> int:
+        """Take a text or its end."""
+        if text.startswith(("Skipped", "Failed")):
+            self._places.add(text)
+        return len(text)
 
 
 def read(path: Path, vehicle: Vehicle) -> AutopilotLog:
@@ -68,93 +94,96 @@ def read(path: Path, vehicle: Vehicle) -> AutopilotLog:
         head = file.read(9)
     if (path.suffix.lower() == ".bin" and head[:3] != FMT) or (path.suffix.lower() == ".tlog" and head[8:] not in STX):
         raise ConfigError(source, "", "is no log of ArduPilot: it does not begin as one")
+    rows = _Rows([], [], {}, set())
     try:
         navigation = Navigation(Accuracy(), dives=vehicle.can_dive)
-        rows = (_telemetry if path.suffix.lower() == ".tlog" else _data_flash)(path, navigation)
+        with contextlib.redirect_stderr(_Damage(rows.damaged)), contextlib.redirect_stdout(_Damage(rows.damaged)):
+            (_telemetry if path.suffix.lower() == ".tlog" else _data_flash)(path, navigation, rows)
     except ImportError:
         raise ConfigError(source, "", 'is of ArduPilot: install the extra "mavlink", pymavlink') from None
-    except (OSError, ValueError, TypeError, AttributeError, KeyError, IndexError, struct.error) as error:
+    except (OSError, ValueError, TypeError, AttributeError, LookupError, struct.error, RecursionError) as error:
         raise ConfigError(source, "", f"cannot be read: {error}") from None
-    notes, outputs = [], [n for wanted in LEFT_RIGHT for n, f in rows.functions.items() if f == wanted]
+    estimates = _in_order(rows.estimates, [one.t_ns for one in rows.estimates], rows.damaged)
+    outputs = _in_order(rows.outputs, [one[0] for one in rows.outputs], rows.damaged)
+    notes, numbers = list[str](), [n for wanted in LEFT_RIGHT for n, f in rows.functions.items() if f == wanted]
     if not rows.functions:
-        outputs = [*DEFAULT_OUTPUTS]
+        numbers = [*DEFAULT_OUTPUTS]
         notes.append(f"no SERVOn_FUNCTION in the log: outputs {DEFAULT_OUTPUTS} are taken for port and starboard")
-    if len(outputs) != len(LEFT_RIGHT):
+    if len(numbers) != len(LEFT_RIGHT):
         raise ConfigError(source, "SERVOn_FUNCTION", f"must have {LEFT_RIGHT} once, ThrottleLeft and ThrottleRight")
-    if not rows.outputs or not rows.estimates:
+    if not outputs or not estimates:
         raise ConfigError(source, "", "has no outputs, or no position of the EKF")
+    t_ns, pwm, arming = zip(*outputs, strict=True)
     thrusts = []
-    for name, output, thruster in zip(("port", "starboard"), outputs, vehicle.thrusters, strict=False):
+    for name, number, thruster in zip(("port", "starboard"), numbers, vehicle.thrusters, strict=False):
         if not thruster.pwm_us:
-            raise ConfigError(
-                f"vehicle {vehicle.name}", f"[thruster.{name}] pwm_us", "is missing: it makes thrusts of PWM"
-            )
-        pwm = np.array([row[1].get(output, math.nan) for row in rows.outputs])
-        order = np.argsort(thruster.pwm_us)
-        thrusts.append(np.interp(pwm, np.array(thruster.pwm_us)[order], np.array(thruster.pwm_N)[order]))
-    before = not next((row[2] for row in rows.outputs if row[2] is not None), False)
-    t_ns, armed = (
-        np.array([row[0] for row in rows.outputs]),
-        [before if row[2] is None else row[2] for row in rows.outputs],
-    )
-    if rows.outputs[-1][2] is None:
+            where = f"[thruster.{name}] pwm_us"
+            raise ConfigError(f"vehicle {vehicle.name}", where, "is missing: it makes thrusts of PWM")
+        order, us = np.argsort(thruster.pwm_us), [row.get(number, math.nan) for row in pwm]
+        thrusts.append(np.interp(us, np.array(thruster.pwm_us)[order], np.array(thruster.pwm_N)[order]))
+    before = not next((one for one in arming if one is not None), False)
+    armed = np.array([before if one is None else one for one in arming])
+    if arming[-1] is None:
         notes.append("no ARM in the log: it is taken as armed from begin to end")
-    return AutopilotLog(rows.estimates, t_ns, np.column_stack(thrusts), np.array(armed), notes)
+    if rows.damaged:
+        notes.append(f"the log is damaged in {len(rows.damaged)} places: what is there is left out")
+    return AutopilotLog(estimates, np.array(t_ns), np.column_stack(thrusts), armed, notes)
 
 
-def _data_flash(path: Path, navigation: Navigation) -> _Rows:
+def _data_flash(path: Path, navigation: Navigation, rows: _Rows) -> None:
     from pymavlink import DFReader
 
-    rows, rates = _Rows([], [], {}), (0.0, 0.0)
+    binary = DFReader.DFReader_binary
+    reader = type("Reader", (binary,), {"init_arrays_fast": binary.init_arrays})  # that one prints past sys.stderr
     armed: bool | None = None
-    for message in _messages(DFReader.DFReader_binary(str(path), zero_time_base=True)):
-        kind = message.get_type()
-        if kind in ("XKF1", "NKF1") and getattr(message, "C", 0) == 0:
+    rates = 0.0, 0.0
+    for message in _messages(reader(str(path), zero_time_base=True)):
+        kind, t_us = message.get_type(), getattr(message, "TimeUS", 0)
+        if not 0 <= t_us < MAX_US:
+            rows.damaged.add(f"time {t_us} us")
+        elif kind in ("XKF1", "NKF1") and getattr(message, "C", 0) == 0:
             roll, pitch, yaw = (math.radians(degrees) for degrees in (message.Roll, message.Pitch, message.Yaw))
-            stamp, (q, r) = message.TimeUS // 1000, rates
+            stamp, (q, r) = t_us // 1000, rates
             attitude = {"roll": roll, "pitch": pitch, "yaw": yaw, "pitchspeed": q, "yawspeed": r}
             place = {"x": message.PN, "y": message.PE, "z": message.PD}
             velocity = {"vx": message.VN, "vy": message.VE, "vz": message.VD}
-            rows.estimates.extend(navigation.attitude(SimpleNamespace(time_boot_ms=stamp, **attitude)))
-            rows.estimates.extend(navigation.position(SimpleNamespace(time_boot_ms=stamp, **place, **velocity)))
+            rows.take(navigation.attitude, SimpleNamespace(time_boot_ms=stamp, **attitude))
+            rows.take(navigation.position, SimpleNamespace(time_boot_ms=stamp, **place, **velocity))
         elif kind == "IMU" and getattr(message, "I", 0) == 0:
             rates = message.GyrY, message.GyrZ
         elif kind == "RCOU":
             pwm = {n: float(getattr(message, f"C{n}", math.nan)) for n in range(1, 15)}
-            rows.outputs.append((message.TimeUS * 1000, pwm, armed))
+            rows.outputs.append((t_us * 1000, pwm, armed))
         elif kind == "PARM":
             _parameter(rows, message.Name, message.Value)
         elif kind == "ARM":
             armed = bool(message.ArmState)
         elif kind == "EV" and message.Id in (ARMED, DISARMED):
             armed = message.Id == ARMED
-    return rows
 
 
-def _telemetry(path: Path, navigation: Navigation) -> _Rows:
+def _telemetry(path: Path, navigation: Navigation, rows: _Rows) -> None:
     from pymavlink import mavutil
 
-    rows, armed, system, boot = _Rows([], [], {}), False, 0, _BootTime()
+    armed, system, boot = False, 0, _BootTime()
     for message in _messages(mavutil.mavlogfile(str(path))):
         kind, by = message.get_type(), message.get_srcSystem()
-        if by != (system or by):
+        if kind == "BAD_DATA":
+            rows.damaged.add(f"byte {len(rows.damaged)}")
+        elif by != (system or by):
             continue
-        if kind == "HEARTBEAT" and message.get_srcComponent() == 1 and message.autopilot == ARDUPILOT:
+        elif kind == "HEARTBEAT" and message.get_srcComponent() == 1 and message.autopilot == ARDUPILOT:
             system, armed = by, bool(message.base_mode & SAFETY_ARMED)
         elif system == 0:
             continue
         elif kind in ("ATTITUDE", "LOCAL_POSITION_NED"):
             message.time_boot_ms = boot.add(message.time_boot_ms)
-            take = navigation.attitude if kind == "ATTITUDE" else navigation.position
-            rows.estimates.extend(take(message))
+            rows.take(navigation.attitude if kind == "ATTITUDE" else navigation.position, message)
         elif kind == "SERVO_OUTPUT_RAW" and message.port == 0:
             pwm = {n: float(getattr(message, f"servo{n}_raw")) for n in range(1, 9)}
-            t_ns = boot.of_us(message.time_usec) * 1000
-            if not rows.outputs or t_ns > rows.outputs[-1][0]:
-                rows.outputs.append((t_ns, pwm, armed))
+            rows.outputs.append((boot.of_us(message.time_usec) * 1000, pwm, armed))
         elif kind == "PARAM_VALUE":
             _parameter(rows, message.param_id, message.param_value)
-    return rows
 
 
 class _BootTime:
@@ -182,6 +211,13 @@ def _messages(log: Any) -> Iterator[Any]:
     with contextlib.closing(log):
         while (message := log.recv_msg()) is not None:
             yield message
+
+
+def _in_order(messages: list[Any], stamps: list[int], damaged: set[str]) -> list[Any]:
+    """Return the most messages whose stamps increase."""
+    kept = increasing(stamps)
+    damaged.update(f"stamp {stamps[k]}" for k in set(range(len(stamps))).difference(kept))
+    return [messages[k] for k in kept]
 
 
 def _parameter(rows: _Rows, name: str, value: float) -> None:

@@ -104,10 +104,7 @@ def table(of: Check) -> str:
             "estimates are of the point",
             f"{point.forward_m:g} m forward, {point.starboard_m:g} m starboard, {point.down_m:g} m down of the origin",
         ),
-        (
-            "power, full ahead at rest",
-            _value(of.full_power_W, "W", none="no torque coefficients"),
-        ),
+        ("power, full ahead at rest", _value(of.full_power_W, "W", none="no torque coefficients")),
         ("without a new plan", f"thrusters at rest after {of.plan_timeout_s:g} s"),
         ("proposed horizon", f"{of.horizon_s:g} s, the default of every controller"),
         ("on a path", "bow first: it is weaker astern" if of.bow == "first" else "bow or stern first"),

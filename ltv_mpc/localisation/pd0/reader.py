@@ -115,7 +115,8 @@ def parse(data: bytes, *, source: str, max_losses: int = MAX_LISTED_LOSSES) -> R
             ensembles.append(ensemble)
     if end < len(data):
         add_loss(end, len(data))
-    kept = {k for upward in (False, True) for k in _increasing(ensembles, upward)}
+    heads = [[k for k, of in enumerate(ensembles) if of.settings.upward == upward] for upward in (False, True)]
+    kept = {head[k] for head in heads for k in increasing([ensembles[at].t_ns for at in head])}
     for k, ensemble in enumerate(ensembles):
         if k not in kept:
             add_loss(ensemble.offset, ensemble.offset + ensemble.size, "its clock does not increase")
@@ -127,15 +128,19 @@ def parse(data: bytes, *, source: str, max_losses: int = MAX_LISTED_LOSSES) -> R
     return Recording(source, len(data), tuple(ensembles), tuple(losses), places, lost)
 
 
-def _increasing(ensembles: Sequence[Ensemble], upward: bool) -> list[int]:
-    """Return the numbers of the most ensembles of one direction whose clock increases (Schensted 1961)."""
-    begins: list[int] = []  # of the best runs of each length: the number of the first ensemble
-    behind: dict[int, int | None] = {}
-    for k in reversed(range(len(ensembles))):
-        if ensembles[k].settings.upward == upward:
-            length = bisect.bisect_left(begins, -ensembles[k].t_ns, key=lambda begin: -ensembles[begin].t_ns)
-            behind[k] = begins[length - 1] if length else None
-            begins[length : length + 1] = [k]
+def increasing(stamps: Sequence[int]) -> list[int]:
+    """Return the places of the most stamps that increase (Schensted 1961).
+
+    Parameters
+    ----------
+    stamps : times in the order of a file, some of them wrong.
+    """
+    begins: list[int] = []  # of the best runs of each length: the place of the first stamp
+    behind: list[int | None] = [None] * len(stamps)
+    for k in reversed(range(len(stamps))):
+        length = bisect.bisect_left(begins, -stamps[k], key=lambda begin: -stamps[begin])
+        behind[k] = begins[length - 1] if length else None
+        begins[length : length + 1] = [k]
     run: list[int] = []
     at = begins[-1] if begins else None
     while at is not None:

@@ -28,17 +28,19 @@ class Mission(NamedTuple):
     stops: Sequence[Stop]
     places: Sequence[Pair]  # of the stops, north and east (m)
     along_m: Sequence[float]  # distance of each stop from the begin
+    unreached: Sequence[int]  # items with a place behind the one at which it ends
 
     @property
     def texts(self) -> list[str]:
-        """Place, speed and wait of each item."""
+        """Place, speed and wait of each item, and which are not reached."""
         texts = []
         for number, place, speed_mps in self.stops:
             at = [f"{value:.7g}" for value in (place.latitude_deg, place.longitude_deg) if value is not None]
             at += [f"{value:.1f} m" for value in (place.north_m, place.east_m, place.depth_m) if value is not None]
             wait = f", waits {place.wait_s:g} s" if place.wait_s else ""
             texts += [f"{number}: {', '.join(at)} at {speed_mps:g} m/s{wait}"] if number else []
-        return [*texts[:-1], f"{texts[-1]}, then holds"] if texts else []
+        behind = [f"not reached, behind item {self.stops[-1].number}: {', '.join(map(str, self.unreached))}"]
+        return [*texts[:-1], f"{texts[-1]}, then holds", *(behind if self.unreached else [])] if texts else []
 
 
 def mission_of(
@@ -67,7 +69,8 @@ def mission_of(
         raise ListRefused(f"mission: {reason}")
     places = [local(stop.place, origin) for stop in stops]
     ways = [math.dist(a, b) for a, b in itertools.pairwise([here if len(stops) == 1 else places[0], *places])]
-    return Mission(text, stops, places, list(itertools.accumulate(ways)))
+    unreached = {item.number for item in items[first:] if item.has_place} - {stop.number for stop in stops}
+    return Mission(text, stops, places, list(itertools.accumulate(ways)), sorted(unreached))
 
 
 def fence_of(messages: Iterable[Any], origin: Origin) -> str:

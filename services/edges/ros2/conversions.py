@@ -270,9 +270,6 @@ def reference_point_of(settings: Settings) -> Any:
     stamped = {
         "header": header(0, CHILD_FRAME),
         "child_frame_id": f"{CHILD_FRAME}_origin",
-        "transform": {
-            "translation": {"x": -at.forward_m, "y": at.starboard_m, "z": at.down_m},
-            "rotation": {"w": 1.0},
-        },
+        "transform": {"translation": {"x": -at.forward_m, "y": at.starboard_m, "z": at.down_m}, "rotation": {"w": 1.0}},
     }
     return make("tf2_msgs/msg/TFMessage", transforms=[stamped])

@@ -28,8 +28,8 @@ OTHER_CONVENTIONS = ("ned", "frd")
 """Suffixes by which REP 103 marks frames that are not ENU or FLU, as in ``odom_ned``."""
 
 LARGEST = 1e9
-UNKNOWN = 1e6
-"""Variance from which a quantity is not given."""
+UNKNOWN = {"pose": np.repeat([1e6, 10.0], 3), "twist": np.full(6, 1e6)}
+"""Variances from which a quantity is not given; an angle of 10 rad^2, as of 1e5 or 99999, may be any."""
 
 NOT_GIVEN = {0: (1, 5.0**2), 1: (0, 5.0**2), 5: (4, 0.5**2)}
 """Row of the estimate's covariance and its variance, by the row of the pose: x is east, y is north, then yaw."""
@@ -97,7 +97,7 @@ def _matrix(name: str, covariance: Any) -> tuple[Array, Array]:
     variance = P.diagonal().copy()
     if np.isnan(P).any():
         raise Refused(f"{name}.covariance: a value is not a number")
-    given = (variance >= 0.0) & (variance < UNKNOWN) & (variance[0] > 0.0 or variance[0] >= UNKNOWN)
+    given = (variance >= 0.0) & (variance < UNKNOWN[name]) & (variance[0] > 0.0)
     P[~given], P[:, ~given] = 0.0, 0.0
     return _bounded(f"{name}.covariance", P), given
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import msgspec
 
+from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Applied, Estimate, Message, NodeSettings, NodeStatus, Truth
 from services.bus.wire import Header
 from services.recording.acceptance import Acceptance
@@ -75,6 +76,7 @@ def read(recording: Path, *, rows: int = ROWS) -> PlotData:
     safety = RunSafety()
     acceptance: Acceptance | None = None
     collector: Collector | None = None
+    stored: StoredMessage | None = None
     for stored in parts:
         if stored.kind not in SHOWN:
             continue
@@ -87,6 +89,8 @@ def read(recording: Path, *, rows: int = ROWS) -> PlotData:
             safety.add(message, header.epoch)
             if isinstance(message, NodeSettings):
                 files |= message.files
+    if stored is None and not parts.cut:
+        raise ConfigError(f"recording {recording}", "", "holds no message")
     metadata = {**files, **parts.metadata}
     collector = collector or Collector(rows=rows)
     collector.set_files(metadata)

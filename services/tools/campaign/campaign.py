@@ -92,12 +92,7 @@ def open_campaign(folder: Path, made: PreparedCampaign, *, force: bool = False) 
 
 
 def run(
-    made: PreparedCampaign,
-    store: ResultsStore,
-    *,
-    workers: int | None,
-    cluster: str | None,
-    stop: Callable[[], bool],
+    made: PreparedCampaign, store: ResultsStore, *, workers: int | None, cluster: str | None, stop: Callable[[], bool]
 ) -> Iterator[Row]:
     """Make the missing runs; yield each row as it ends and is stored."""
     missing = [one for one in made.trials() if one.key not in store.keys]

@@ -72,11 +72,7 @@ SOURCES: dict[str, tuple[str, ...]] = {
     "accelerometer bias": ("imu.accelerometer_bias_sd_mps2",),
     "heading (compass noise and bias)": ("compass.heading_sd_rad", "compass.bias_sd_rad"),
     "pressure": ("pressure.depth_sd_m",),
-    "prior of the water": (
-        "water.current_sd_mps",
-        "water.current_mean_sd_mps",
-        "water.current_change_mps_per_rts",
-    ),
+    "prior of the water": ("water.current_sd_mps", "water.current_mean_sd_mps", "water.current_change_mps_per_rts"),
     "levelling at the start": ("water.afloat_acceleration_sd_mps2",),
 }
 """Sources of the error budget, and the settings that are their standard deviations; ``water`` is [estimator]."""
@@ -207,12 +203,7 @@ def _fix_s(sensors: SensorConfig) -> float:
 
 
 def plan(
-    dive: Dive,
-    *,
-    fixes: Sequence[int],
-    runs: int,
-    limit_m: float | None,
-    progress: Callable[[float], None],
+    dive: Dive, *, fixes: Sequence[int], runs: int, limit_m: float | None, progress: Callable[[float], None]
 ) -> DivePlan:
     """Simulate the dives and compute all bounds. Raises ``ConfigError``.
 

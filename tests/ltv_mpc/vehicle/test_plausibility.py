@@ -82,6 +82,8 @@ def test_vehicles_from_30_kg_to_3_t_give_no_warning() -> None:
         ("max_N = 62.5 ", "max_N = 0.0625 ", "is the thrust in kN or gf"),
         ("max_N = 62.5 ", "max_N = 62500.0 ", "is the thrust in kN or gf"),
         ("min_N = -62.5                  # N; paper", "min_N = 0.0 # N; paper", "[thruster.port] min_N = 0: no"),
+        ("min_N = -62.5 ", "min_N = -6.37 ", "[thruster.port] min_N of 6.37 and max_N = 62.5: 0.15 to 3 times"),
+        ("beam_m = 0.65", "beam_m = 25.6", "[hull] beam_m = 25.6: wider than length_m"),
         ("lag_s = 0.3 ", "lag_s = 30.0 ", "[thruster.port] lag_s = 30"),
         (SWAY, "quadratic_damping_kgpm = 0.0\n", "[sway] both dampings are 0: a sideways drift never ends"),
         ("max_rps = 7.2 ", "max_rps = 432.0 ", "move at 339 m/s; is it in rev/min?"),
@@ -120,6 +122,13 @@ def test_a_wrong_value_of_the_vertical_thruster_alone_is_named(field: str, value
     (sentence, *_) = warnings_of(changed(Vehicle.load("paper"), {f"thruster.vertical.{field}": value}))
     assert sentence.startswith(f"[thruster.vertical] {field} = {value:g}")
     assert says in sentence
+
+
+def test_a_table_of_thrusts_in_kgf_as_of_a_data_sheet_is_named() -> None:
+    boat = Vehicle.load("bluerobotics-boat")
+    table = tuple(force_N / 9.81 for force_N in boat.thruster.port.pwm_N)
+    (sentence,) = warnings_of(changed(boat, {"thruster.port.pwm_N": table}))
+    assert sentence.startswith("[thruster.port] pwm_N of 5.249")
 
 
 def test_the_arm_of_a_vehicle_without_a_hull_is_not_compared_with_a_beam() -> None:

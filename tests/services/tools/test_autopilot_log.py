@@ -187,6 +187,29 @@ def test_a_log_that_cannot_be_used_is_one_line(tmp_path: Path, capsys: pytest.Ca
     assert "[thruster.port] pwm_us: is missing" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("name", ["damaged.bin", "damaged.tlog"])
+def test_damage_costs_itself_alone(name: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """One output a thousand years ahead ended in a traceback, and one value that is none cost the log."""
+    log = tmp_path / name
+    (telemetry(log, 0, False) if name.endswith("tlog") else data_flash(log, FUNCTIONS, {20: 1}))
+    data = bytearray(log.read_bytes())
+    if name.endswith("tlog"):
+        data[len(data) // 2] ^= 1
+    else:
+        stamp = struct.pack("<Q", drive()[700].t_us)
+        xkf1, rcou = (data.index(HEADER + bytes([number]) + stamp) for number in (13, 14))
+        data[xkf1 + 18 : xkf1 + 22] = struct.pack("<f", math.nan)  # VN
+        data[rcou + 3 : rcou + 11] = struct.pack("<Q", 2**50)
+        data[rcou - 1_000 : rcou - 1_000] = bytes(19)
+        data += HEADER + bytes([14]) + struct.pack("<QHHHH", 2**63, 1500, 1500, 1500, 1500)
+    log.write_bytes(data)
+    found = autopilot_log.read(log, BOAT)
+    assert len(found.estimates) >= len(drive()) - 6
+    assert found.t_ns.max() < 2e11
+    assert found.notes[-1].startswith("the log is damaged in")
+    assert not any(capfd.readouterr())
+
+
 def test_the_simulated_autopilot_has_the_boat_of_its_vehicle_file() -> None:
     """Without the Munk moment, (M_x - M_y) u v, the yaw of its boat was that of no vehicle."""
     boat, rng, rows, wanted = EXAMPLE.Boat(), np.random.default_rng(5), [], (0.0, 0.0)

@@ -76,7 +76,7 @@ def scene(name):
     belief.x[layout.compass_bias] = getattr(device, "bias_rad", 0.0)
     belief.x[layout.sound_speed] = getattr(device, "sound_speed_mps", 1500.0) / 1500.0 - 1.0
     belief.x[GYRO_BIAS] = 0.02, -0.03, 0.01
-    return belief, messages[-1], tuple(now.angular_rate_radps + belief.x[GYRO_BIAS])
+    return belief, messages[-1], tuple(now.angular_rate_radps() + belief.x[GYRO_BIAS])
 
 
 NAMES = [sensor.name for sensor, _ in fitted(NOISELESS)]

@@ -124,6 +124,13 @@ def test_jumps_repeat_and_a_delay_waits() -> None:
     assert mission_of([HOME], ORIGIN, 0.5, HERE, dives=False) is None
 
 
+def test_items_that_are_not_reached_are_told() -> None:
+    found = mission(
+        item(1, 16, north_m=9.0), item(2, 20), item(3, 16, east_m=9.0), item(4, 93, 1.0, x=0, y=0), item(5, 82)
+    )
+    assert found.texts[-1] == "not reached, behind item 2: 3, 5"
+
+
 @pytest.mark.parametrize(
     ("refused", "dives", "says"),
     [
@@ -139,7 +146,13 @@ def test_jumps_repeat_and_a_delay_waits() -> None:
         (item(2, 18, math.inf, 0.0, 5.0), False, "needs turns"),
         (item(2, 18, 1.0, 0.0, math.inf), False, "needs turns"),
         (item(2, 18, 1e7, 0.0, 5.0), False, "needs more than 100,000 waypoints"),
+        (item(2, 18, 1.0, 0.0, 1e30), False, "radius .* of at most 50000 m"),
         (item(2, 19, math.inf), False, "cannot wait for inf s"),
+        (item(2, 19, math.nan), False, "cannot wait for nan s"),
+        (item(2, 19, 1e9), False, r"cannot wait for 1e\+09 s, more than 1e\+06 s"),
+        (item(2, 93, 1e7), False, r"cannot wait for 1e\+07 s"),
+        (item(2, 178, 1.0, 25.0), False, "speed 25 m/s must be at most 20 m/s"),
+        (item(2, 16, north_m=5.0, z=-2e4), True, "altitude -20000 m"),
         (item(2, 178, 1.0, math.inf), False, "speed inf m/s must be above 0, and finite"),
         (item(2, 93, math.inf), False, "needs seconds"),
         (item(2, 93, -1.0), False, "needs seconds"),
