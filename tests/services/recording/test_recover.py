@@ -183,7 +183,7 @@ def test_a_whole_recording_may_be_one_chunk(tmp_path: Path) -> None:
     assert not records.losses
 
 
-def rewritten(whole: Path, path: Path, **how: Any) -> Path:
+def rewritten(whole: Path, path: Path, **how) -> Path:
     """Write the messages anew as another program does."""
     with whole.open("rb") as before, path.open("wb") as file:
         reader, writer, channels = make_reader(before), Writer(file, **how), dict[int, int]()
