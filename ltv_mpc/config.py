@@ -192,11 +192,13 @@ def parse_json(text: str | bytes, source: str) -> dict[str, Any]:
     Raises
     ------
     ConfigError
-        If it is no JSON object.
+        If it is no JSON object, or has an integer of more than 64 bits.
     """
     try:
-        return msgspec.json.decode(text, type=dict[str, Any])
-    except (ValueError, RecursionError) as error:
+        found = msgspec.json.decode(text, type=dict[str, Any])
+        msgspec.msgpack.encode(found)  # raises for an integer of more than 64 bits
+        return found
+    except (ValueError, OverflowError, RecursionError) as error:
         raise ConfigError(source, "", f"is not a JSON object: {error}") from None
 
 

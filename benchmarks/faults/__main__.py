@@ -38,7 +38,7 @@ from services.cli.options import check_endpoint, check_namespace
 from services.runtime.console import columns, counted
 from services.tools.batch.results_store import open_store
 
-QUICK, FULL = 33, 1000
+QUICK, FULL = 34, 1000
 """Default numbers of faults."""
 
 MAX_SHOWN = 40

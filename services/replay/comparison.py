@@ -125,10 +125,12 @@ class Comparison:
             self._count_difference(name)
         complete = gap is None
         last_step = max((output.step for output in self._replayed.values()), default=-1)
+        # The file misses an output behind which it has a later one of the same key.
+        has_hole = any(sequence < self._newest.get(key, -1) for key, sequence in self._replayed)
         for (key, sequence), output in self._replayed.items():
             if sequence > self._newest.get(key, -1) and output.step == last_step:
                 self.outputs["unpublished"] += 1
-            elif sequence > self._newest.get(key, -1) and complete and not self._has_hole():
+            elif sequence > self._newest.get(key, -1) and complete and not has_hole:
                 self._add_difference(output, key, sequence, NOT_RECORDED)
             else:
                 self.outputs["lost"] += 1
@@ -136,10 +138,6 @@ class Comparison:
         for key, sequence in self._recorded:
             if complete and sequence == self._next.get(key, 0):
                 self._add_difference(_Output(*self._last, Message()), key, sequence, NOT_REPLAYED)
-
-    def _has_hole(self) -> bool:
-        """Return True if the file misses an output behind which it has a later one of the same key."""
-        return any(sequence < self._newest.get(key, -1) for key, sequence in self._replayed)
 
     def _compare(self, name: _Name, stored: StoredMessage, header: Header) -> None:
         output = self._replayed.get(name)

@@ -115,7 +115,8 @@ class Epoch:
                 if None not in inbox:
                     self._step(step, inbox)  # type: ignore[arg-type]
                     continue
-                missing = _name(step.inbox[inbox.index(None)])
+                entry = step.inbox[inbox.index(None)]
+                missing = f"{entry.key} {entry.sequence} (epoch {entry.epoch:012x}, crc {entry.crc:08x})"
             if at is not None and at - since <= REACH:
                 return
             self._stop(f"{missing} is not in the file", step.t_ns)
@@ -163,10 +164,6 @@ class Epoch:
         self._steps.clear()
         self._node = None
         self.outcome.stop()
-
-
-def _name(entry: InboxEntry) -> str:
-    return f"{entry.key} {entry.sequence} (epoch {entry.epoch:012x}, crc {entry.crc:08x})"
 
 
 class NodeReplay:

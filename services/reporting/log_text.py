@@ -29,10 +29,12 @@ def text(info: Info) -> str:
     versions = info.made_by
     packages = ("ltv_mpc", "python", "numpy", "osqp", "numba")
     by = ", ".join(f"{name} {versions[name]}" for name in packages if name in versions)
-    how = _start(info) if vehicle else f"mode {info.mode}, seed {info.seed}"
+    first = f"start {info.start_utc or f'at {info.start_s:.3f} s'} by the vehicle's own clock"  # others count from it
+    how = first if vehicle else f"mode {info.mode}, seed {info.seed}"
     lines.append(fold(f"{how}, {info.duration_s:.1f} s{'; ' if by else ''}{by}"))
     lines += [_segment(segment, since_s) for segment in info.segments]
-    lines.append(f"{counted(info.messages, 'message')}, {info.missing or 'none'} missing{_unreadable(info)}")
+    unreadable = f", {info.unreadable} without a header" if info.unreadable else ""
+    lines.append(f"{counted(info.messages, 'message')}, {info.missing or 'none'} missing{unreadable}")
     lines += ["", *columns([_HEAD, *(_row(key, since_s) for key in info.keys)], numbers=True)]
     for title, of_key in (("keys with several sources", _sources), ("longest silences", _silences), ("gaps", _gaps)):
         if found := [line for key in info.keys for line in of_key(key, since_s)]:
@@ -88,11 +90,6 @@ def _segment(segment: Segment, since_s: float) -> str:
     return f"{segment.file}: {segment.bytes / 1e6:.2f} MB, {counted(segment.messages, 'message')}{times}, {state}"
 
 
-def _start(info: Info) -> str:
-    """Describe the first instant by the vehicle's own clock; all other times count from it."""
-    return f"start {info.start_utc or f'at {info.start_s:.3f} s'} by the vehicle's own clock"
-
-
 def _sources(key: Key, since_s: float) -> Iterable[str]:
     if len(key.sources) > 1:
         for source in key.sources:
@@ -105,10 +102,6 @@ def _silences(key: Key, since_s: float) -> Iterable[str]:
     period_s = 0.0 if topic is None else topic.period_ns / 1e9
     if period_s and key.silence_s > max(MIN_SILENCE_S, SILENT_PERIODS * period_s):
         yield f"  {key.key}: {key.silence_s:.2f} s without a message, from {key.silence_from_s - since_s:.2f} s on"
-
-
-def _unreadable(info: Info) -> str:
-    return f", {info.unreadable} without a header" if info.unreadable else ""
 
 
 def _gaps(key: Key, _since_s: float) -> Iterable[str]:

@@ -54,14 +54,12 @@ def _row(topic: Topic) -> dict[str, Any]:
 
 def _table(rows: list[dict[str, Any]]) -> str:
     header = ("key", "message", "period", "delivery", "written by", "read by")
-    shown = [row | {"period": _period(row["period_ns"]), "readers": ", ".join(row["read_by"]) or "-"} for row in rows]
-    names = ("key", "message", "period", "delivery", "written_by", "readers")
-    cells = [tuple(row[name] for name in names) for row in shown]
+    cells = []
+    for row in rows:
+        period = f"{round(row['period_ns'] / 1e6, 1):g} ms" if row["period_ns"] else "on events"
+        readers = ", ".join(row["read_by"]) or "-"
+        cells.append((row["key"], row["message"], period, row["delivery"], row["written_by"], readers))
     return "\n".join(columns([header, *cells])) + "\n"
-
-
-def _period(period_ns: int) -> str:
-    return f"{round(period_ns / 1e6, 1):g} ms" if period_ns else "on events"
 
 
 def _fields(message_type: type[Message]) -> list[tuple[str, ...]]:

@@ -186,8 +186,16 @@ def read_summary(recording: Path) -> dict[str, Any]:
 
     Raises ``ConfigError`` if it cannot be read: its figures are not replaced by others in silence.
     """
+    from sim.evaluation.summary import Summary  # a vehicle's recorder needs no part of the simulation
+
     path = recording.with_name("summary.json")
-    return parse_json(read_text(path, what="summary"), f"summary {path}") if path.exists() else {}
+    found = parse_json(read_text(path, what="summary"), f"summary {path}") if path.exists() else {}
+    for field in (field for field in msgspec.structs.fields(Summary) if field.name in found):
+        try:
+            msgspec.convert(found[field.name], field.type)
+        except msgspec.ValidationError as error:
+            raise ConfigError(f"summary {path}", field.name, str(error)) from None
+    return found
 
 
 def _newest() -> Path | None:
@@ -197,12 +205,9 @@ def _newest() -> Path | None:
     none and counts by its last message.
     """
     folders = [path for path in ROOT.glob("*") if not path.is_symlink()]
-    marks = [mark for path in folders if (mark := _dated_file(path)) is not None]
+    dated = [[path / name for name in ("scenario.toml", RECORDING) if (path / name).is_file()] for path in folders]
+    marks = [files[0] for files in dated if files]
     return max(marks, key=lambda path: path.stat().st_mtime_ns).parent if marks else None
-
-
-def _dated_file(folder: Path) -> Path | None:
-    return next((path for name in ("scenario.toml", RECORDING) if (path := folder / name).is_file()), None)
 
 
 def make_default(name: str) -> Path:

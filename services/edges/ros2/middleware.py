@@ -84,7 +84,7 @@ class RmwZenoh:
             return f"@ros2_lv/{self._domain}/{session}/0/{entity}/{kind}/%/%/{NODE_NAME}"
 
         ends = (
-            "/".join((token(at, row.direction), *(_mangled(row.topic), dds_type(row.ros_type))))
+            "/".join((token(at, row.direction), *(row.topic.replace("/", "%"), dds_type(row.ros_type))))
             + f"/{type_hash(row.ros_type)}/{qos(row)}"
             for at, row in enumerate(rows, start=1)
         )
@@ -113,7 +113,3 @@ def gid_of(token: str) -> bytes:
 def is_topic(name: str) -> bool:
     """Return True for the full name of a topic or service."""
     return re.fullmatch(r"(/[A-Za-z_][A-Za-z0-9_]*)+", name) is not None
-
-
-def _mangled(name: str) -> str:
-    return name.replace("/", "%")

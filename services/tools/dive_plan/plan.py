@@ -227,7 +227,8 @@ def plan(
 
     dives = [dive._replace(fixes=n, seed=dive.seed + i) for n in fixes for i in range(runs)]
     flights = in_order(fly, dives, progress=advance)
-    lines = [_rms([flight.drift_m for flight in flights[k * runs : (k + 1) * runs]]) for k in range(len(fixes))]
+    drift_m = np.array([flight.drift_m for flight in flights]).reshape(len(fixes), runs, -1)
+    lines = np.sqrt(np.mean(np.square(drift_m), axis=1)).tolist()
     first = flights[0]
     end_s, end_m = first.case.at_s[-1], lines[0][-1]
     base = first.case._replace(at_s=(end_s,))
@@ -261,10 +262,6 @@ def not_counted(sensors: SensorConfig) -> list[str]:
     """Return the names of the vehicle's sensors that are no source of the error budget."""
     counted = {key.partition(".")[0] for keys in SOURCES.values() for key in keys}
     return [sensor.name for sensor, _ in fitted(sensors) if sensor.name not in counted]
-
-
-def _rms(lines: Sequence[Sequence[float]]) -> list[float]:
-    return [float(value) for value in np.sqrt(np.mean(np.square(lines), axis=0))]
 
 
 def gains(base: Case) -> dict[str, Case]:

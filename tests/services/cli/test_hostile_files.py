@@ -39,8 +39,6 @@ from tests.services.recording.recordings import chunk, foreign_keys, record
 
 CPU_S, WALL_S, MAX_KB = 10.0, 120, 200_000
 
-ORIGIN = Origin(latitude_deg=0.0, longitude_deg=0.0)
-
 
 def of_folder(read: Callable[[Path], Any], name: str) -> Callable[[Path], Any]:
     """Return a reader of the file ``name`` of a folder, which is ``path`` itself under another name."""
@@ -93,7 +91,7 @@ TEXTS: dict[str, Callable[[Path], Any]] = {
     ".waypoints fence": lambda path: Fence.load(str(path)),
     ".csv currents": read_profile,
     ".csv prior": read_prior,
-    ".csv bathymetry": lambda path: Bathymetry.load(str(path), ORIGIN),
+    ".csv bathymetry": lambda path: Bathymetry.load(str(path), Origin(latitude_deg=0.0, longitude_deg=0.0)),
     ".json summary": of_folder(lambda folder: read_summary(folder / "run.mcap"), "summary.json"),
     ".pd0 dive": pd0.read,
     ".qp QP": NamedQp.load,
@@ -135,6 +133,7 @@ BOMBS_OF = {
     },
     ".csv currents": {"a long header": b"depth_m," * 120_000, "quotes": b'"' * MB, "lines": b"\n" * (MB // 4) + b"x"},
     ".geojson fence": {"a long key": b'{"' + b"k" * MB + b'": 1}'},
+    ".json summary": {"a large number": b'{"x": 1' + b"0" * 400 + b"}", "a wrong type": b'{"health": []}'},
 }
 CONTENTS |= {f"{reader}: {name}": content for reader, of in BOMBS_OF.items() for name, content in of.items()}
 EVERY += [(f"{reader}: {name}", reader) for reader, of in BOMBS_OF.items() for name in of]
