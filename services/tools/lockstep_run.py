@@ -6,7 +6,8 @@ import contextlib
 import errno
 import gc
 from collections.abc import Callable, Sequence
-from functools import cache
+from functools import cache, lru_cache
+from typing import Any
 
 from ltv_mpc.messages import InboxEntry, Message, RecordedStep, RejectedFrame, StepRecord
 from ltv_mpc.node import Node, ReceivedMessage
@@ -143,18 +144,9 @@ class _Log:
         """Record a step; only for a run with a writer."""
         assert self._writer is not None
         node, cause = step.node, step.cause
-        record = StepRecord(
-            node=node,
-            epoch=EPOCH,
-            step=step.number,
-            steps=(
-                RecordedStep(
-                    t_ns=step.t_ns,
-                    cause=cause if isinstance(cause, str) else _key(step.inbox[-1].message, node),
-                    inbox=tuple(_entry(message, node) for message in step.inbox),
-                ),
-            ),
-        )
+        cause = cause if isinstance(cause, str) else _key(step.inbox[-1].message, node)
+        recorded = RecordedStep(t_ns=step.t_ns, cause=cause, inbox=tuple(_entry(one, node) for one in step.inbox))
+        record = StepRecord(node=node, epoch=EPOCH, step=step.number, steps=(recorded,))
         self._writer.write(node, record, _header(step.number), step.at_ns)
 
     def published(self, node: str, message: ReceivedMessage) -> None:
@@ -163,7 +155,8 @@ class _Log:
         if type(content) is RejectedFrame:
             self.rejected_count += 1
         if self._writer is not None:
-            self._writer.write(node, content, _header(message.sequence), message.received_t_ns)
+            plain, crc = _frame(message)
+            self._writer.write_plain(_key(content, node), type(content), plain, message.received_t_ns, crc)
         if self._keep is not None:
             self._keep(content)
 
@@ -172,13 +165,20 @@ def _header(sequence: int) -> wire.Header:
     return wire.Header(epoch=EPOCH, sequence=sequence, sent_monotonic_us=0)
 
 
+@lru_cache(maxsize=1000)  # a message is written, and soon after it is in the inboxes of its readers
+def _frame(message: ReceivedMessage) -> tuple[dict[str, Any], int]:
+    """Return the plain map of a message, and the crc of the frame that processes would have sent."""
+    plain = wire.to_map(message.message, _header(message.sequence))
+    return plain, wire.crc(wire.pack(plain))
+
+
 def _entry(message: ReceivedMessage, reader: str) -> InboxEntry:
-    """Return the inbox entry of a received message; its crc is that of the frame that processes would have sent."""
+    """Return the inbox entry of a received message."""
     return InboxEntry(
         key=_key(message.message, reader),
         epoch=message.epoch,
         sequence=message.sequence,
-        crc=wire.crc(wire.encode(message.message, _header(message.sequence))),
+        crc=_frame(message)[1],
         received_t_ns=message.received_t_ns,
     )
 
