@@ -7,7 +7,9 @@ and keys, frames of the autopilot that it has seen, and frames in its name, each
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
+from contextlib import redirect_stdout
 from typing import Any
 
 import msgspec
@@ -92,7 +94,8 @@ def observe(run: Run) -> list[FaultOutcome]:
     """Fly with the strangers of each fault and without."""
     outcomes = []
     for fault in run.faults:
-        flight, alone = (StrangersFlight(fault, stranger=heard) for heard in (True, False))
+        with redirect_stdout(sys.stderr):  # the simulated autopilot prints what it is told
+            flight, alone = (StrangersFlight(fault, stranger=heard) for heard in (True, False))
         moved_m = float(np.hypot(*(flight.track - alone.track).T).max())
         counts = [(one.edge.lost, one.frames["to autopilot"]) for one in (flight, alone)]
         outcome = FaultOutcome(fault=fault, place=Place.LOCKSTEP, run_seed=run.seed, harmed=flight.harmed)

@@ -18,7 +18,7 @@ from benchmarks.faults import world
 from benchmarks.faults.effects import Interval
 from benchmarks.faults.judge import errors
 from benchmarks.faults.log import INTRUDERS_EPOCH, Log
-from ltv_mpc.messages import Command, LocalisationReport, Message, NodeStatus, RejectedFrame, RunEvent
+from ltv_mpc.messages import LocalisationReport, Message, NodeStatus, RejectedFrame, RunEvent
 from ltv_mpc.node import ReceivedMessage
 from services.bus import wire
 from services.recording.writer import RunWriter
@@ -102,9 +102,9 @@ class Witness:
         if node == world.INTRUDER:
             message = msgspec.structs.replace(message, epoch=INTRUDERS_EPOCH)
         else:
-            header = {"epoch": message.epoch, "sequence": message.sequence}
-            self._metrics.observe(message.message, **header, t_ns=message.received_t_ns)
-            self._published += not isinstance(message.message, Command)  # of an operator, whom anybody can be
+            source = {"epoch": message.epoch, "sequence": message.sequence, "t_ns": message.received_t_ns}
+            self._metrics.observe(message.message, **source)
+            self._published += 1
         self._rejected += node == world.INTRUDER or isinstance(message.message, RejectedFrame)
         self._write(node, message)
         for own in self._own_keys:
@@ -126,9 +126,8 @@ class Witness:
         """Name each figure of the recording's summary that differs from the nodes' messages; empty: none."""
         self._writer.close()
         made = summarise_recording(self._of, self._writer.path)[0]
-        rejected = made.messages.rejected
-        allowed = self._rejected + self.sent.total()
-        messages = Messages(published=self._published, dropped=0, rejected=min(rejected, allowed))
+        rejected = min(made.messages.rejected, self._rejected + self.sent.total())
+        messages = Messages(published=self._published, dropped=0, rejected=rejected)
         true = summarise(self._of, self._metrics, mode=SERVICES, messages=messages)
         fields = made.__struct_fields__
         wrong = [

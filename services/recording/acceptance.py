@@ -94,10 +94,14 @@ class Acceptance:
             self._writers[writer] = epoch, received_us
         if topic.written_by == ANYONE and node not in NODES:
             return ""
-        # Of a source that is not in use, or not of the process of its name, nothing is missing.
+        # Of a source that is not in use, or not of the process of its name, nothing is missing. Before its first status
+        # a process counts while nothing of it is missing.
         in_use = {Estimate: self.source_epoch or epoch, Plan: self._commander or epoch}
         of_process = epoch if single else self._writers.get(node, (0, 0))[0]
-        self.losses.add(key, epoch, sequence, counts=in_use.get(kind, of_process) == epoch)
+        counts = in_use.get(kind, of_process) == epoch or (
+            not of_process and self.losses.is_whole(key, epoch, sequence)
+        )
+        self.losses.add(key, epoch, sequence, counts=counts)
         return ""
 
     def take(

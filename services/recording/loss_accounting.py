@@ -123,6 +123,11 @@ class LossAccounting:
         self._processes: dict[int, _Process] = {}  # by epoch, likewise
         self._published = self._missing = 0  # of the sources that are no longer counted separately
 
+    def is_whole(self, key: str, epoch: int, sequence: int) -> bool:
+        """Return True if nothing of a source is missing before a message."""
+        source = self._sources.get((key, epoch))
+        return sequence == (0 if source is None else source.received)
+
     def add(self, key: str, epoch: int, sequence: int, *, counts: bool = True) -> None:
         """Add a recorded message; unless it ``counts``, its source is counted from its next message on."""
         process = self._processes.pop(epoch, None) or _Process(began_before=self._late and sequence > 0)

@@ -18,12 +18,13 @@ from services.reporting import static_files
 from services.reporting.plots.description import Group
 from tests.services.reporting import synthetic_run
 
+NONE = {"max": None, "final": None}
 SUMMARY = {
     **{"mode": "services", "speed": 10.0, "seed": 3, "cycles": 66},
-    **{"true_error_m": {"mean": 0.25, "max": None}, "tracking_error_m": {"mean": 0.02}},
-    "localisation_error_m": {"mean": 0.24},
+    **{"true_error_m": {"mean": 0.25, **NONE}, "tracking_error_m": {"mean": 0.02, **NONE}},
+    "localisation_error_m": {"mean": 0.24, **NONE},
 }
-OTHER = {**SUMMARY, "cycles": 60, "true_error_m": {"mean": 0.5}, "restarts": 2}
+OTHER = {**SUMMARY, "cycles": 60, "true_error_m": {"mean": 0.5, **NONE}, "restarts": 2}
 
 
 @pytest.fixture(scope="module")

@@ -28,7 +28,7 @@ from sim.evaluation.cramer_rao_bound.model import (
     ErrorModel,
     Instant,
 )
-from tests.ltv_mpc.localisation.sensors.every_sensor import with_settings
+from tests.ltv_mpc.localisation.sensors.every_sensor import dense, with_settings
 
 PAPER, REALISTIC = SensorConfig.load("paper"), SensorConfig.load("realistic")
 
@@ -108,7 +108,7 @@ def test_what_a_sensor_says_of_each_error_is_what_it_says_to_the_filter():
         context = Context(suite, config.cell_m, (0.0, 0.0, 0.0))
         seen = BY_NAME[name].linearise(belief, message, getattr(suite, name), context).rows
         expected = np.zeros_like(rows)
-        H = weight * seen.dense(layout.size) / np.sqrt(seen.variance)[:, None]
+        H = weight * dense(seen, layout.size) / np.sqrt(seen.variance)[:, None]
         expected[:, states[states >= 0]] = H[:, states >= 0]
         expected[:, GYRO_BIAS] = 0.0
         np.testing.assert_allclose(rows, expected, rtol=1e-9, atol=1e-9, err_msg=name)

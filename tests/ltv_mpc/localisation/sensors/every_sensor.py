@@ -1,12 +1,14 @@
-"""Sensor configuration of a vehicle that has every sensor of the registry, for tests."""
+"""Sensor configuration of a vehicle that has every sensor of the registry, and the matrix of a measurement."""
 
 from __future__ import annotations
 
 import msgspec
+import numpy as np
 
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors.bottom_track import BottomTracking
 from ltv_mpc.localisation.sensors.lbl import Lbl
+from ltv_mpc.localisation.sensors.sensor import Rows
 from ltv_mpc.localisation.sensors.usbl import Usbl
 
 S = 1_000_000_000
@@ -32,3 +34,10 @@ def with_settings(sensors, **tables):
     """Return the sensors with settings changed, by sensor."""
     changed = {name: msgspec.structs.replace(getattr(sensors, name), **values) for name, values in tables.items()}
     return msgspec.structs.replace(sensors, **changed)
+
+
+def dense(rows: Rows, size: int) -> np.ndarray:
+    """Return the measurement matrix (m, n) for a state of ``size`` n."""
+    H = np.zeros((len(rows.residual), size))
+    np.add.at(H, (np.arange(len(H))[:, None], rows.state), rows.partial)
+    return H

@@ -17,7 +17,7 @@ from sim.sensors.adcp import Instrument
 from sim.sensors.simulated import Environment
 from sim.sensors.vehicle_state import motion_between
 from sim.water import WaterColumn
-from tests.ltv_mpc.localisation.sensors.every_sensor import EVERY_SENSOR, S, with_settings
+from tests.ltv_mpc.localisation.sensors.every_sensor import EVERY_SENSOR, S, dense, with_settings
 from tests.sim.worlds import instant, truth
 
 CONFIG = EstimatorConfig()
@@ -101,7 +101,7 @@ def test_partials_are_minus_the_derivatives_of_the_residual(name):
         return linearised(at, message, rate=rate, sensors=NOISELESS).rows
 
     size, h = belief.layout.size, 1e-5
-    H = rows(np.zeros(size)).dense(size)
+    H = dense(rows(np.zeros(size)), size)
     difference = np.stack([(rows(-e).residual - rows(e).residual) / (2 * h) for e in h * np.eye(size)], axis=1)
     scale = np.abs(difference).max(axis=1, keepdims=True)
     np.testing.assert_allclose(H / scale, difference / scale, atol=1e-6)
