@@ -40,7 +40,7 @@ def test_a_quick_campaign_has_no_bad_thrust_or_uncounted_loss(capsys, tmp_path, 
     assert json.loads((tmp_path / "faults.json").read_text()) == of
     # The recorder heard one router alone: what was said at the other and lost on its way is in the file nonetheless.
     assert {one["fault"]["target"] for one in seen if one["place"] == "processes"} == {"estimate", "plan", "applied"}
-    (recording,) = tmp_path.glob("bus-*/run.mcap")
+    recording = max(tmp_path.glob("bus-*/run.mcap"), key=lambda path: path.stat().st_size)  # of two runs
     log = recorded.Recorded(recording, Vehicle.load("paper")).log
     assert min(len(log.cycles), len(log.received_estimates), len(log.gate)) > 60  # else no requirement on them binds
     recorded.with_link(recording, recording.with_name(inject.LINK), tmp_path / "both.mcap")
