@@ -31,6 +31,7 @@ from services.run.nodes import make_nodes
 from services.run.run_config import Override, resolve
 from services.run.summary import summarise_recording
 from services.tools import lockstep_run
+from sim.evaluation.summary import Summary
 from sim.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -200,9 +201,15 @@ class Table(dict[str, Column]):
 def summary_of(recording: Path) -> dict[str, Any]:
     """Return the content of the summary.json beside a recording; if there is none, the summary of the recording.
 
-    It is empty for the recording of a real vehicle: without a truth there are no errors to summarise.
+    It is empty for the recording of a real vehicle: without a truth there are no errors to summarise. Raises
+    ``ConfigError`` if a figure in the file has a wrong type.
     """
     if found := folder.read_summary(recording):
+        for field in (field for field in msgspec.structs.fields(Summary) if field.name in found):
+            try:
+                msgspec.convert(found[field.name], field.type)
+            except msgspec.ValidationError as error:
+                raise ConfigError(f"summary {recording.with_name('summary.json')}", field.name, str(error)) from None
         return found
     try:
         run_config = resolve(str(recording.with_name("scenario.toml")))

@@ -29,12 +29,12 @@ from services.processes.mavlink import _key
 from services.recording import export, info, recover
 from services.recording.records import MAGIC
 from services.reporting.plots import recorded
-from services.run.folder import read_summary
 from services.run.run_config import resolve
 from services.run.summary import summarise_recording
 from services.tools import autopilot_log
 from services.tools.batch import results_store
 from services.tools.campaign import file as campaign
+from services.tools.python_run import summary_of
 from tests.services.recording.recordings import chunk, foreign_keys, record
 
 CPU_S, WALL_S, MAX_KB = 10.0, 120, 200_000
@@ -92,7 +92,7 @@ TEXTS: dict[str, Callable[[Path], Any]] = {
     ".csv currents": read_profile,
     ".csv prior": read_prior,
     ".csv bathymetry": lambda path: Bathymetry.load(str(path), Origin(latitude_deg=0.0, longitude_deg=0.0)),
-    ".json summary": of_folder(lambda folder: read_summary(folder / "run.mcap"), "summary.json"),
+    ".json summary": of_folder(lambda folder: summary_of(folder / "run.mcap"), "summary.json"),
     ".pd0 dive": pd0.read,
     ".qp QP": NamedQp.load,
     ".bin log": lambda path: autopilot_log.read(path, VEHICLE),
