@@ -149,7 +149,7 @@ class SlipTest:
         self._tests += 1
 
     def _test(self, slip: str, undo: Undo, segments: Segments) -> None:
-        least, undone = FOUND_NATS + FOUND_SHARE * 3.0 * float(segments.worth.sum()), self._fit.record
+        least, undone = FOUND_NATS + FOUND_SHARE * 3.0 * float(segments.worth.sum()), _copy(self._fit.record)
         undo(undone)
         by_kinematics = self._by_kinematics(undone, segments) if slip in OF_ESTIMATES else 0.0
         if slip in OF_ESTIMATES and by_kinematics < least:
@@ -174,7 +174,7 @@ class SlipTest:
 
     def _answers(self, segments: Segments) -> bool:
         """Return True if the motion ahead and in yaw follows the thrusts, or there is none."""
-        fit, given, without = self._fit, self._fit.record, self._fit.record
+        fit, given, without = self._fit, self._fit.record, _copy(self._fit.record)
         without.thrust[:, 1:] = 0.0
         left, moved = (segments.noise(fit.misfit(fit.x, of, segments), fit.floor)[::2, 0] for of in (given, without))
         return not ((moved > MOVES * fit.floor[::2]) & (left > ANSWERED * moved)).any()
@@ -205,6 +205,10 @@ class SlipTest:
         given, changed = (_drift(of.motion, segments) for of in (self._fit.record, undone))
         floor = self._least_drift + segments.noise(given, self._least_drift)[:, -1]
         return 0.5 * (segments.unlikely(given, floor) - segments.unlikely(changed, floor))
+
+
+def _copy(record: Record) -> Record:
+    return Record(record.motion.copy(), record.thrust.copy())
 
 
 def _drift(motion: Array, segments: Segments) -> Array:

@@ -290,9 +290,9 @@ class MotionFit:
 
     @property
     def record(self) -> Record:
-        """Copy of what the last step explains."""
+        """Record that the last step explains, not copied."""
         K = len(self._motion) if self.segments is None else len(self.segments.cosines)
-        return Record(self._motion[:K].copy(), self._impulse.rows.copy())
+        return Record(self._motion[:K], self._impulse.rows)
 
     def misfit(self, x: Array, record: Record, segments: Segments) -> Array:
         """Return the errors E (3, M) of the velocities.
