@@ -7,7 +7,7 @@ A wrong model can look like a lever arm, too: by up to 0.25 m with the hull of t
 its data sheet (docs/notes/lever-arm.md).
 
 Estimates that are older than their stamps move the origin to another time, and with a slip of the installation
-(``conventions.py``) no value of the fit means anything, so while either is named, nothing else is.
+(``installation_slips.py``) no value of the fit means anything, so while either is named, nothing else is.
 Nor is the file while waves carry the vehicle: what they do to it, no noise of the fit is like.
 """
 
@@ -17,8 +17,8 @@ import math
 from collections.abc import Iterator
 
 from ltv_mpc.messages import Estimate, Health
-from ltv_mpc.safety.conventions import SlipTest
 from ltv_mpc.safety.health import NOMINAL, HealthState
+from ltv_mpc.safety.installation_slips import SlipTest
 from ltv_mpc.safety.motion_fit import ARM, DELAY, MODEL, TURN, MotionFit
 
 ALARM_M = 0.25

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from ltv_mpc.messages import Estimate
-from ltv_mpc.safety.conventions import OF_ESTIMATES, OF_THRUSTS, SlipTest
+from ltv_mpc.safety.installation_slips import OF_ESTIMATES, OF_THRUSTS, SlipTest
 from ltv_mpc.safety.motion_fit import MotionFit
 from tests.ltv_mpc.safety.test_motion_fit import STEP_S, VEHICLE, ns, steered
 
