@@ -68,6 +68,9 @@ NOISE_RADPS = 0.003
 MODEL_WALK_PER_RTS = 0.01
 """Random walk of each model state: the drag of a boat changes with its speed and its load."""
 
+MODEL_SD_RATIOS = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 1.5, 1.0])
+"""Prior standard deviations of the model over the one that is set: the drag in yaw is known worst."""
+
 MOMENT_SHARE, MOMENT_WALK_PER_RTS = 0.1, 0.03
 """Prior standard deviation and random walk of the steady yaw moment, over that of both thrusters."""
 
@@ -159,9 +162,9 @@ class DisturbanceObserver:
         port, starboard = (thruster.max_N * thruster.arm_m for thruster in vehicle.thrusters[:2])
         learns_model = settings.model_sd > 0.0
         turning_radps2 = (port + starboard) / vehicle.yaw.inertia_kgm2 * learns_model  # at full thrust
-        sd = np.full(STATES, settings.model_sd)
+        sd = np.full(STATES, settings.lever_arm_sd_m)
         sd[CURRENT:ARM] = DEFAULT_SD_MPS if settings.sd_mps is None else settings.sd_mps
-        sd[ARM:MODEL], sd[-1] = settings.lever_arm_sd_m, MOMENT_SHARE * turning_radps2
+        sd[MODEL:-1], sd[-1] = settings.model_sd * MODEL_SD_RATIOS, MOMENT_SHARE * turning_radps2
         self._other_bias = np.zeros(2)  # of a profile while the estimates have none, or of still water
         walks = np.zeros(STATES)  # of the arm and the model, per second
         walks[ARM:MODEL] = ARM_WALK_M_PER_RTS**2

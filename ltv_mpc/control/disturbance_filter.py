@@ -43,8 +43,10 @@ STATES, CURRENT, ARM, MODEL = 12, 0, 2, 4
 STEPS = (0.005, 0.005, 0.01, 0.01, 0.02, 0.02, 0.02, 0.02, 0.02, 0.02, 0.02, 0.005)
 """Steps of the finite differences, and the changes at which the iteration ends."""
 
-MAX_LOG = 1.0
-"""Bound of the logarithms: a factor of 2.7, beyond which the vehicle file is another vehicle's."""
+MAX_LOGS = np.array([1.0, 1.0, 1.0, 1.0, 2.3, 2.3, 1.0])
+"""Bounds of the logarithms and of the Munk mass: a factor of 2.7, beyond which the vehicle file is another vehicle's.
+Of the drag abeam and in yaw 10: rules of thumb give a sixth of that of the catamaran in benchmarks/strangers.
+"""
 
 MAX_ITERATIONS, ITERATED_SQUARE = 5, 16.0
 """Iterations of an update whose innovation is more than its noise explains, by the normalised square. An ordinary one
@@ -188,8 +190,8 @@ def _correct(x: Array, P: Array, H: Array, r2: Array, z: Array, at: Array) -> fl
             for k in range(j + 1):
                 P[j, k] -= g[j] * g[k] / S
                 P[k, j] = P[j, k]
-    for j in range(MODEL, STATES - 1):
-        x[j] = min(max(x[j], -MAX_LOG), MAX_LOG)
+    for j in range(len(MAX_LOGS)):
+        x[MODEL + j] = min(max(x[MODEL + j], -MAX_LOGS[j]), MAX_LOGS[j])
     return square
 
 

@@ -33,7 +33,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ltv_mpc.control.disturbance_filter import MAX_LOG, adapted
+from ltv_mpc.control.disturbance_filter import MAX_LOGS, adapted
 from ltv_mpc.control.prediction import current_at_depth, profile_of
 from ltv_mpc.jit import count_up_to, jit, jit_outlined
 from ltv_mpc.messages import Array, Estimate, Pair, Triple
@@ -229,7 +229,7 @@ class MotionFit:
         self.floor = (NOISE * np.array((top_mps, top_mps, 0.5 * turning_radps2))) ** 2
         """Least variances of the errors."""
         most = np.full(SIZE, np.inf)
-        most[:2], most[MODEL : MODEL + 6], most[DELAY] = top_mps, MAX_LOG, MAX_DELAY_S
+        most[:2], most[MODEL : MODEL + 6], most[DELAY] = top_mps, MAX_LOGS[:6], MAX_DELAY_S
         self._bounds = np.where(np.arange(SIZE) == DELAY, 0.0, -most), most
         self._motion = np.empty((0, 10))
         self.segments: Segments | None = None
