@@ -13,6 +13,8 @@ import contextlib
 import time
 from typing import Any
 
+import msgspec
+
 from ltv_mpc.messages import Clock, ClockState, Estimate, Message, NodeStatus, RejectedFrame, RunEvent, StepRecord
 from services.bus.mailbox import Frame, Mailbox
 from services.bus.message_validation import rejection
@@ -24,7 +26,6 @@ from services.bus.session import Reply, open_session
 from services.bus.topics import BY_TYPE, key_of
 from services.bus.wire import Header, WireError, crc, from_map, header_of, unpack
 from services.recording.acceptance import NODES, Acceptance
-from services.recording.history import read_query
 from services.recording.segments import SegmentWriter
 from services.runtime.clock import ClockError, ClockSegment, VehicleClock, monotonic_us
 from services.runtime.clock_sync import STAMPED_INPUTS, ClockSync
@@ -160,8 +161,8 @@ class RecordingLoop:
 
     def _answer(self, query: bytes, _: bytes, reply: Reply) -> None:
         """Reply with a part of the history; a query that names no part gets none."""
-        if (first := read_query(query)) is not None:
-            reply(self._writer.history.reply(first), None)
+        with contextlib.suppress(msgspec.MsgspecError):
+            reply(self._writer.history.reply(msgspec.msgpack.decode(query, type=int)), None)
 
     def _finish(self) -> None:
         """Record until each process has reported its count and all its messages have arrived, or no more arrive.
