@@ -108,8 +108,9 @@ class Records:
         self.finished = False
         self.grows: Callable[[], bool] = lambda: False
         """Called at the end of what there is: waits, and says whether to look for more."""
+        self.schemas: dict[int, Schema] = {}
+        """Those that have been read, by their ids."""
         self._channels: set[int] = set()
-        self._schemas: dict[int, str] = {}
 
     @property
     def whole(self) -> bool:
@@ -180,16 +181,16 @@ class Records:
 
     def _is_known(self, record: Record) -> bool:
         """Return False for a message of a lost channel. Raises ``ConfigError`` if the first is of another program."""
-        if len(self._schemas) + len(self._channels) > MAX_TABLE:
+        if len(self.schemas) + len(self._channels) > MAX_TABLE:
             raise ConfigError(f"recording {self.path}", "", f"more than {MAX_TABLE} channels and schemas")
         if isinstance(record, Message):
             known = record.channel_id in self._channels
             self.orphans += not known
             return known
         if isinstance(record, Schema):
-            self._schemas[record.id] = record.name
+            self.schemas[record.id] = record
         elif isinstance(record, Channel):
-            schema = self._schemas.get(record.schema_id, "")
+            schema = found.name if (found := self.schemas.get(record.schema_id)) else ""
             ours = schema.startswith(OWN) or not schema or topic_at(record.topic) is not None
             if (record.message_encoding != ENCODING or not ours) and not self._channels:
                 what = f"{record.topic}, {schema} as {record.message_encoding}"
