@@ -248,7 +248,7 @@ def _run_processes(
     from services.dashboard.config import About, Config
     from services.dashboard.sidecar import Sidecar
     from services.reporting.terminal import RunScreen
-    from services.supervisor import supervisor
+    from services.supervisor.supervisor import Supervisor
 
     limits = [(thruster.min_N, thruster.max_N) for thruster in run_config.vehicle.thrusters]
     screen = RunScreen(run_config.scenario.title, limits, files=run_config.files)
@@ -260,7 +260,7 @@ def _run_processes(
     config = Config(vehicle=str(folder.config("vehicle")), about=about, open_browser=open_browser, of_a_run=True)
     sidecar = Sidecar(screen.say, folder.path / "logs", config, waits=not as_json)
     try:
-        outcome = supervisor.run(run_config, folder, screen, certs=certs, page=sidecar if page else None)
+        outcome = Supervisor(run_config, folder, screen, sidecar if page else None).run(certs)
         if outcome.summary is None:
             typer.echo(str(folder.path), err=True)
         else:

@@ -11,13 +11,15 @@ import time
 from itertools import chain
 from typing import TypeAlias
 
+import msgspec
+
 from ltv_mpc.messages import ControllerStatus, Estimate, Message, Truth
 from services.bus.mailbox import Frame
 from services.bus.roles import HISTORY
 from services.bus.session import Session
 from services.bus.topics import topic_at
-from services.bus.wire import Header, WireError
-from services.recording.history import TIMES, query_of, read_reply
+from services.bus.wire import Header
+from services.recording.history import TIMES, Part
 
 TIMEOUT_S = 2.0
 MAX_REPLIES = 200
@@ -77,12 +79,13 @@ class HistoryQuery:
     def _ask(self) -> None:
         first: int | None = 0
         while first is not None and self.awaited and len(self._parts) < MAX_REPLIES:
-            reply = self._session.ask(HISTORY, query_of(first), timeout_s=TIMEOUT_S)
+            reply = self._session.ask(HISTORY, msgspec.msgpack.encode(first), timeout_s=TIMEOUT_S)
             try:
-                part, first = ([], None) if reply is None else read_reply(reply)
-            except WireError:
+                part = Part([], None) if reply is None else msgspec.msgpack.decode(reply, type=Part)
+            except msgspec.MsgspecError:
                 break
-            self._parts.append(part)
+            self._parts.append(part.messages)
+            first = part.next
         self._complete.set()
 
 

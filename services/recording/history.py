@@ -19,6 +19,8 @@ from itertools import islice, repeat
 from operator import attrgetter
 from typing import Any, NamedTuple
 
+import msgspec
+
 from ltv_mpc.messages import (
     Acknowledgement,
     Applied,
@@ -33,7 +35,7 @@ from ltv_mpc.messages import (
     RunEvent,
     Truth,
 )
-from services.bus.wire import WireError, pack, unpack
+from services.bus.wire import pack
 
 LIMIT = 1000
 """A type has fewer than twice as many messages: about 8 MB in all."""
@@ -47,6 +49,15 @@ FIRST_PERIOD_NS = 200_000_000
 EVENTS = (RunEvent, Command, Acknowledgement, LocalisationReport, NodeSettings, ControllerStatus)
 """Messages of which the newest ``LIMIT`` are kept; of the last two, which repeat themselves, the newest of each key."""
 REPEATED = (NodeSettings, ControllerStatus)
+
+
+class Part(msgspec.Struct):
+    """Reply of the recorder to a query, the number of the first message that is asked for; both in msgpack."""
+
+    messages: list[tuple[str, bytes]]
+    """keys and payloads, oldest first"""
+    next: int | None
+    """number to ask for next; None: that was all"""
 
 
 class _Entry(NamedTuple):
@@ -99,16 +110,17 @@ class History:
                     samples.add(_Entry(self._number, t_ns, pack(_shortened(kind, message))))
 
     def reply(self, first: int) -> bytes:
-        """Return the messages from number ``first`` on, oldest first, as a frame of about ``REPLY_BYTES``."""
-        part: list[tuple[str, bytes]] = []
+        """Return the messages from number ``first`` on, as an encoded ``Part`` of about ``REPLY_BYTES``."""
+        part = Part([], None)
         size = 0
         with self._lock:
             for key, (number, _, payload) in self._from(first):
                 if size > REPLY_BYTES:
-                    return pack({"messages": part, "next": number})
-                part.append((key, payload))
+                    part.next = number
+                    break
+                part.messages.append((key, payload))
                 size += len(payload)
-        return pack({"messages": part, "next": None})
+        return msgspec.msgpack.encode(part)
 
     def _from(self, first: int) -> Iterator[tuple[str, _Entry]]:
         number = attrgetter("number")
@@ -116,34 +128,6 @@ class History:
         kept += [(key, samples.kept) for (key, _), samples in self._samples.items()]
         later = [zip(repeat(key), islice(of, bisect_left(of, first, key=number), None)) for key, of in kept]
         return merge(*later, key=lambda pair: pair[1].number)
-
-
-def query_of(first: int) -> bytes:
-    """Return the query for the messages from number ``first`` on."""
-    return pack({"first": first})
-
-
-def read_query(frame: bytes) -> int | None:
-    """Return the number that a query asks for; None if it asks for none."""
-    try:
-        first = unpack(frame).get("first")
-    except WireError:
-        return None
-    return first if isinstance(first, int) else None
-
-
-def read_reply(frame: bytes) -> tuple[list[tuple[str, bytes]], int | None]:
-    """Return the keys and payloads of a reply, and the number to ask for next, None: that was all.
-
-    Raises ``WireError`` if it is no reply.
-    """
-    content = unpack(frame)
-    messages, next_ = content.get("messages"), content.get("next")
-    if not isinstance(messages, list):
-        raise WireError("a reply needs messages")
-    pairs = [each for each in messages if isinstance(each, list) and len(each) == 2]
-    found = [(key, payload) for key, payload in pairs if isinstance(key, str) and isinstance(payload, bytes)]
-    return found, next_ if isinstance(next_, int) else None
 
 
 def _shortened(kind: type[Message], message: Mapping[str, Any]) -> Mapping[str, Any]:

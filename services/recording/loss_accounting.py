@@ -158,16 +158,6 @@ class LossAccounting:
             self._processes[epoch].received += 1
         return True
 
-    def mark_lost(self, key: str, epoch: int) -> None:
-        """Count a message that was added as missing after all."""
-        source, process = self._sources.get((key, epoch)), self._processes.get(epoch)
-        if source is not None:
-            source.received -= 1
-        else:
-            self._missing += 1
-        if process is not None:
-            process.received -= 1
-
     def set_published(self, epoch: int, node: str, published: int) -> None:
         """Set the number of messages that a process has published, by its last status, which is included."""
         process = self._processes.get(epoch)

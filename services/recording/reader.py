@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 import msgspec
-from mcap.records import Channel, Metadata
+from mcap.records import Channel, Metadata, Schema
 from mcap.records import Message as McapMessage
 
 from ltv_mpc.messages import Message
@@ -80,6 +80,8 @@ class Recording:
     def __init__(self, *paths: Path, past_losses: bool = False) -> None:
         self.metadata: dict[str, str] = {}
         self.others: dict[str, dict[str, str]] = {}
+        self.channels: dict[str, tuple[Channel, Schema | None]] = {}
+        """First channel of each key that has been read, with its schema."""
         self.parts = tuple(map(Records, paths))
         self._past_losses = past_losses
 
@@ -109,8 +111,16 @@ class Recording:
                 topic = topics.topic_at(record.topic)
                 channel = record.topic, topic.message_type if topic else None
                 channels[record.id] = channel if wanted(record.topic) else None
+                self.channels.setdefault(record.topic, (record, records.schemas.get(record.schema_id)))
             elif isinstance(record, Metadata) and record.name == RUN:
                 self.metadata = self.metadata or record.metadata
                 start_ns = start_of(record.metadata)
             elif isinstance(record, Metadata):
                 self.others[record.name] = record.metadata
+
+
+def metadata_of(path: Path) -> dict[str, str]:
+    """Return the metadata of a recording. Raises ``ConfigError`` if it is not a recording."""
+    recording = Recording(path)
+    next(recording.stored(), None)
+    return recording.metadata

@@ -18,11 +18,11 @@ import re
 import struct
 import zlib
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from io import BytesIO
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple, TypeAlias
+from typing import BinaryIO, NamedTuple, TypeAlias
 
 import lz4.frame
 import zstandard
@@ -50,7 +50,6 @@ FOREIGN = (
 )
 
 _HEAD = struct.Struct("<BQ")
-_CHUNK = struct.Struct("<16xQ4xI")
 _MESSAGE = struct.Struct("<HIQQ")
 
 NAMES = {int(opcode): opcode.name.lower().replace("_", " ") for opcode in Opcode}
@@ -109,8 +108,9 @@ class Records:
         self.finished = False
         self.grows: Callable[[], bool] = lambda: False
         """Called at the end of what there is: waits, and says whether to look for more."""
+        self.schemas: dict[int, Schema] = {}
+        """Those that have been read, by their ids."""
         self._channels: set[int] = set()
-        self._schemas: dict[int, str] = {}
 
     @property
     def whole(self) -> bool:
@@ -149,11 +149,9 @@ class Records:
                 if head:
                     what = f"a record of {length} bytes" if length else "the head of a record"
                     if opcode == Opcode.CHUNK:
-                        there = 0
-                        for record in filter(self._is_known, _cut_chunk(file, self.size - file.tell())):
-                            there += 1
-                            yield record
-                        what = f"a chunk of {length} bytes, of which the first {there} records are read"
+                        there = list(filter(self._is_known, _cut_chunk(file.read())))
+                        yield from there
+                        what = f"a chunk of {length} bytes, of which the first {len(there)} records are read"
                     self._lose(start, self.size - start, f"cut in {what}")
                 return
             content = file.read(length)
@@ -164,7 +162,7 @@ class Records:
                 summary = True
             elif not summary:
                 try:
-                    found = _decoded(opcode, content)
+                    found = list(_decoded(opcode, content))
                 except DECODING_ERRORS as error:
                     why = " ".join(str(error).split()) or type(error).__name__
                     self._lose(start, _HEAD.size + length, f"{NAMES.get(opcode, f'record {opcode}')}: {why}"[:200])
@@ -183,16 +181,16 @@ class Records:
 
     def _is_known(self, record: Record) -> bool:
         """Return False for a message of a lost channel. Raises ``ConfigError`` if the first is of another program."""
-        if len(self._schemas) + len(self._channels) > MAX_TABLE:
+        if len(self.schemas) + len(self._channels) > MAX_TABLE:
             raise ConfigError(f"recording {self.path}", "", f"more than {MAX_TABLE} channels and schemas")
         if isinstance(record, Message):
             known = record.channel_id in self._channels
             self.orphans += not known
             return known
         if isinstance(record, Schema):
-            self._schemas[record.id] = record.name
+            self.schemas[record.id] = record
         elif isinstance(record, Channel):
-            schema = self._schemas.get(record.schema_id, "")
+            schema = found.name if (found := self.schemas.get(record.schema_id)) else ""
             ours = schema.startswith(OWN) or not schema or topic_at(record.topic) is not None
             if (record.message_encoding != ENCODING or not ours) and not self._channels:
                 what = f"{record.topic}, {schema} as {record.message_encoding}"
@@ -212,49 +210,29 @@ def _decoded(opcode: int, content: bytes) -> Iterable[Record]:
     return () if kind is None else (kind.read(stream),)
 
 
-def _in_chunk(chunk: Chunk) -> list[Record]:
-    """Return the records of a chunk. Raises ``ValueError`` if its CRC is wrong or it holds others than a chunk can.
+def _in_chunk(chunk: Chunk, *, cut: bool = False) -> Iterator[Record]:
+    """Yield the records of a chunk, of one that is ``cut`` until an incomplete one.
 
-    mcap reads a message in eight calls, which takes five times as long, and skips other records one by one.
+    Raises ``ValueError`` if its CRC is wrong or it holds others than a chunk can. mcap reads a message in eight calls,
+    which takes five times as long, and skips other records one by one.
     """
-    data, start = _decompressed(chunk), 0
-    if chunk.uncompressed_crc not in (0, zlib.crc32(data)):
+    data, start = _decompressed(chunk, cut=cut), 0
+    if not cut and chunk.uncompressed_crc not in (0, zlib.crc32(data)):
         raise ValueError("wrong CRC")
-    found: list[Record] = []
     while start < len(data):
         opcode, length = _HEAD.unpack_from(data, start)
         start += _HEAD.size
         end = start + length
         if end > len(data) or opcode not in IN_CHUNK:
             raise ValueError("a record type that a chunk cannot hold")
-        found += (_message(data[start:end]),) if opcode == Opcode.MESSAGE else _decoded(opcode, data[start:end])
+        yield from _decoded(opcode, data[start:end])
         start = end
-    return found
 
 
-def _cut_chunk(file: BinaryIO, there: int) -> Iterator[Record]:
-    """Yield the records of a chunk that is cut after ``there`` bytes, as far as they can be decompressed."""
-    try:
-        size, name_bytes = _CHUNK.unpack(file.read(_CHUNK.size))
-        compression = file.read(min(name_bytes, there))
-        file.seek(8, 1)  # the length of the compressed records
-        stream = _STREAMS[compression](file)
-        left = min(size, FREE_BYTES + LARGE_RATIO * there)
-        while True:
-            opcode, length = _HEAD.unpack(stream.read(_HEAD.size))
-            left -= _HEAD.size + length
-            if opcode not in IN_CHUNK or left < 0 or len(content := stream.read(length)) < length:
-                return
-            yield from _decoded(opcode, content)
-    except (*DECODING_ERRORS, EOFError, KeyError):
-        return
-
-
-_STREAMS: dict[bytes, Callable[[BinaryIO], Any]] = {
-    b"": lambda file: file,
-    b"zstd": zstandard.ZstdDecompressor(max_window_size=LARGE_BYTES).stream_reader,
-    b"lz4": lz4.frame.LZ4FrameFile,
-}
+def _cut_chunk(content: bytes) -> Iterator[Record]:
+    """Yield the records of a chunk that is cut, as far as they can be decompressed."""
+    with suppress(*DECODING_ERRORS):
+        yield from _in_chunk(Chunk.read(ReadDataStream(BytesIO(content))), cut=True)
 
 
 def _message(content: bytes) -> Message:
@@ -262,19 +240,28 @@ def _message(content: bytes) -> Message:
     return Message(channel, log_time, content[_MESSAGE.size :], publish_time, sequence)
 
 
-def _decompressed(chunk: Chunk) -> bytes:
-    """Return the content of a chunk. Raises ``ValueError`` if it claims too much."""
-    data, size, stored = chunk.data, chunk.uncompressed_size, len(chunk.data)
+def _decompressed(chunk: Chunk, *, cut: bool) -> bytes:
+    """Return the content of a chunk; of one that is ``cut``, what is there.
+
+    Raises ``ValueError`` if it claims too much.
+    """
+    data: bytes = chunk.data
+    size, stored = chunk.uncompressed_size, len(data)
+    if cut:
+        size = min(size, FREE_BYTES + LARGE_RATIO * stored)
     ratio = LARGE_RATIO if size > LARGE_BYTES else MAX_RATIO
     if size > FREE_BYTES + ratio * stored:
         raise ValueError(f"{size} bytes from {stored}: more than {ratio} times as many")
-    if chunk.compression == "zstd":
-        # The frame claims a size of its own, which zstd would trust.
-        if zstandard.frame_content_size(data) > size:
-            raise ValueError("its zstd frame claims too many bytes")
-        data = zstandard.decompress(data, size)
-    elif chunk.compression == "lz4":  # mcap would let the frame grow without limit
-        data = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size)
-    elif chunk.compression:
-        raise ValueError(f"compressed by {chunk.compression[:20]!r}, which is not supported")
+    match chunk.compression:
+        case "lz4":  # mcap would let the frame grow without limit
+            data = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size)
+        case "zstd" if cut:
+            data = zstandard.ZstdDecompressor(max_window_size=LARGE_BYTES).stream_reader(data).read(size)
+        case "zstd":
+            # The frame claims a size of its own, which zstd would trust.
+            if zstandard.frame_content_size(data) > size:
+                raise ValueError("its zstd frame claims too many bytes")
+            data = zstandard.decompress(data, size)
+        case other if other:
+            raise ValueError(f"compressed by {other[:20]!r}, which is not supported")
     return data

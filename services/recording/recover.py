@@ -12,14 +12,13 @@ import itertools
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import BinaryIO
 
 import msgspec
-from mcap.records import Channel, Message, Metadata, Schema
 
 from ltv_mpc.errors import ConfigError
+from services.recording.reader import Recording, metadata_of
 from services.recording.records import Loss, Records, start_of
-from services.recording.writer import RUN, open_mcap
+from services.recording.writer import RunWriter
 
 RECOVERY = "recovery"
 """Name of the metadata record."""
@@ -74,14 +73,13 @@ def recover(parts: Sequence[Path], out: Path) -> Recovery:
     Raises ``ConfigError`` if ``out`` exists already, a segment is not an MCAP file, or there is no complete message.
     """
     try:
-        file = out.open("xb")
+        out.open("xb").close()
     except FileExistsError:
         raise ConfigError(f"recovery {out}", "", "exists: name another with --out") from None
     except ValueError as error:  # a NUL in the name
         raise ConfigError(f"recovery {out}", "", str(error)) from None
     try:
-        with file:
-            recovery = _Copy(file).run(parts, out)
+        recovery = _copied(parts, out)
         if not recovery.messages:
             raise ConfigError(f"recording {parts[0]}", "", "holds no complete message: nothing can be recovered")
     except BaseException:
@@ -119,76 +117,34 @@ def join(recording: Path) -> Iterator[str]:
     yield f"{len(parts)} segments of the recording joined, {count}"
 
 
-class _Copy:
-    """Copy of segments into one file, with each schema and channel once, whatever ids the segments gave them."""
-
-    def __init__(self, file: BinaryIO) -> None:
-        self._mcap = open_mcap(file)
-        self._schemas: dict[tuple[str, str, bytes], int] = {}
-        self._channels: dict[str, int] = {}
-        self._start_ns: int | None = None
-
-    def run(self, parts: Sequence[Path], out: Path) -> Recovery:
-        recovered = tuple(self._segment(Records(path)) for path in parts)
-        recovery = Recovery(
-            file=str(out),
-            messages=sum(part.messages for part in recovered),
-            lost_bytes=sum(part.lost_bytes for part in recovered),
-            segments=recovered,
-        )
-        losses = {part.file: f"{part.messages} messages, {part.lost_bytes} bytes lost" for part in recovered}
-        self._mcap.add_metadata(RECOVERY, losses)
-        self._mcap.finish()
-        return recovery
-
-    def _segment(self, records: Records) -> RecoveredSegment:
-        schemas: dict[int, Schema] = {}
-        channels: dict[int, int] = {}
-        shift_ns = messages = 0
-        for record in records:
-            match record:
-                case Message():
-                    self._message(channels[record.channel_id], record, shift_ns)
-                    messages += 1
-                case Schema():
-                    schemas[record.id] = record
-                case Channel():
-                    channels[record.id] = self._channel(record, schemas.get(record.schema_id))
-                case Metadata() if record.name == RUN:
-                    shift_ns = self._begin(record)
-                case Metadata():
-                    self._mcap.add_metadata(record.name, record.metadata)
-        return RecoveredSegment(
-            file=records.path.name,
-            size_bytes=records.size,
-            messages=messages,
-            whole=records.whole,
-            lost_bytes=records.lost_bytes,
-            orphans=records.orphans,
-            losses=tuple(records.losses),
-        )
-
-    def _message(self, channel: int, message: Message, shift_ns: int) -> None:
-        at = min(max(0, message.log_time + shift_ns), 2**64 - 1)
-        self._mcap.add_message(channel, at, message.data, at, message.sequence)
-
-    def _begin(self, record: Metadata) -> int:
-        """Return the shift of this segment's log time to the first segment's, whose metadata are kept."""
-        start_ns = start_of(record.metadata)
-        if self._start_ns is None:
-            self._start_ns = start_ns
-            self._mcap.add_metadata(RUN, record.metadata)
-        return start_ns - self._start_ns
-
-    def _channel(self, channel: Channel, schema: Schema | None) -> int:
-        if channel.topic not in self._channels:
-            kind = 0 if schema is None else self._schema(schema)
-            number: int = self._mcap.register_channel(channel.topic, channel.message_encoding, kind, channel.metadata)
-            self._channels[channel.topic] = number
-        return self._channels[channel.topic]
-
-    def _schema(self, schema: Schema) -> int:
-        name = (schema.name, schema.encoding, schema.data)
-        if name not in self._schemas:
-            self._schemas[name] = self._mcap.register_schema(*name)
-        return self._schemas[name]
+def _copied(parts: Sequence[Path], out: Path) -> Recovery:
+    """Copy the messages of the segments into ``out``, with the metadata of the first one that has any."""
+    metadata = next((found for found in map(metadata_of, parts) if found), {})
+    copied = []
+    with RunWriter(out, start_ns=start_of(metadata), metadata=metadata, flush_s=None) as writer:
+        for path in parts:
+            recording, messages = Recording(path, past_losses=True), 0
+            for stored in recording.stored():
+                writer.copy(stored, *recording.channels[stored.key])
+                messages += 1
+            for name, values in recording.others.items():
+                writer.add_metadata(name, values)
+            (records,) = recording.parts
+            segment = RecoveredSegment(
+                file=path.name,
+                size_bytes=records.size,
+                messages=messages,
+                whole=records.whole,
+                lost_bytes=records.lost_bytes,
+                orphans=records.orphans,
+                losses=tuple(records.losses),
+            )
+            copied.append(segment)
+        losses = {part.file: f"{part.messages} messages, {part.lost_bytes} bytes lost" for part in copied}
+        writer.add_metadata(RECOVERY, losses)
+    return Recovery(
+        file=str(out),
+        messages=sum(part.messages for part in copied),
+        lost_bytes=sum(part.lost_bytes for part in copied),
+        segments=tuple(copied),
+    )

@@ -1,7 +1,7 @@
 """Recording in segments, which continues after a disk error: run.mcap, then run.2.mcap, ...
 
 After a write error the segment is truncated to its last successful flush, so that it can be read to its end. Messages
-that are lost by that, and all messages until the next segment can be opened, are returned by ``refused`` and counted.
+that are lost by that, and all messages until the next segment can be opened, are counted.
 """
 
 from __future__ import annotations
@@ -10,15 +10,12 @@ import contextlib
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 from ltv_mpc.messages import Message
 from services.recording.history import History
 from services.recording.recover import next_segment
 from services.recording.writer import RunWriter
-
-Source: TypeAlias = tuple[str, int]
-"""A message's key and epoch."""
 
 RETRY_S = 1.0
 
@@ -40,8 +37,9 @@ class SegmentWriter:
     ) -> None:
         self._recording = recording
         self._start_ns, self._metadata = start_ns, metadata
-        self._unsafe: list[Source] = []  # sources of the messages since the last flush
-        self._refused: list[Source] = []
+        self.lost = 0
+        """Number of messages that are not in the file, because the disk did not take them."""
+        self._unsafe = 0  # messages since the last flush
         self._news: list[str] = []
         self._retry_period_s, self._clock = retry_s, clock
         self._retry_s = 0.0  # monotonic time of the next attempt
@@ -53,22 +51,18 @@ class SegmentWriter:
         """Writer of the open segment; None while none can be opened."""
 
     def write_plain(self, key: str, kind: type[Message], message: Mapping[str, Any], t_ns: int, crc: int) -> None:
-        """Write a message, as ``RunWriter.write_plain``. If it cannot be kept, ``refused`` returns it."""
+        """Write a message, as ``RunWriter.write_plain``. One that cannot be kept is counted as lost."""
         self.history.add(key, kind, message)
         writer = self.segment or self._reopen()
-        source = (key, message["epoch"])
         if writer is None:
-            self._refused.append(source)
+            self.lost += 1
             return
+        self._unsafe += 1
         try:
-            flushed = writer.write_plain(key, kind, message, t_ns, crc)
+            if writer.write_plain(key, kind, message, t_ns, crc):
+                self._unsafe = 0
         except OSError as error:
-            self._unsafe.append(source)
             self._give_up(writer, error)
-        else:
-            self._unsafe.append(source)
-            if flushed:
-                self._unsafe.clear()
 
     def flush_if_due(self, *, now: bool = False) -> None:
         """Flush if it is due, or ``now``. Must also be called while no messages arrive."""
@@ -77,14 +71,9 @@ class SegmentWriter:
             return
         try:
             if writer.flush_if_due(now=now):
-                self._unsafe.clear()
+                self._unsafe = 0
         except OSError as error:
             self._give_up(writer, error)
-
-    def refused(self) -> list[Source]:
-        """Return the sources of the messages since the last call that are not in the file."""
-        refused, self._refused = self._refused, []
-        return refused
 
     def news(self) -> list[str]:
         """Return the reports for the user since the last call."""
@@ -92,7 +81,7 @@ class SegmentWriter:
         return news
 
     def close(self) -> None:
-        """Finish the file. Messages that the disk does not take are returned by ``refused``."""
+        """Finish the file. Messages that the disk does not take are counted as lost."""
         writer, self.segment = self.segment, None
         if writer is None:
             return
@@ -100,7 +89,7 @@ class SegmentWriter:
             writer.close()
         except OSError as error:
             self._give_up(writer, error)
-        self._unsafe.clear()
+        self._unsafe = 0
 
     def __enter__(self) -> SegmentWriter:
         return self
@@ -134,6 +123,6 @@ class SegmentWriter:
         writer.abandon()
         self.segment = None
         self._retry_s = self._clock() + self._retry_period_s
-        self._refused += self._unsafe
-        self._news.append(f"not recording: {error.strerror}; {len(self._unsafe)} messages not recorded so far")
-        self._unsafe.clear()
+        self.lost += self._unsafe
+        self._news.append(f"not recording: {error.strerror}; {self._unsafe} messages not recorded so far")
+        self._unsafe = 0

@@ -18,13 +18,18 @@ import os
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any
 
 import msgspec
+from mcap.records import Channel, Schema
 from mcap.writer import CompressionType, Writer
 
 from ltv_mpc.messages import Message
 from services.bus import schema, topics, wire
+from services.recording.records import ENCODING, OWN
+
+if TYPE_CHECKING:
+    from services.recording.reader import StoredMessage
 
 CHUNK_BYTES = 1024 * 1024
 FLUSH_S = 0.5
@@ -34,15 +39,9 @@ RUN = "run"
 """Name of the metadata record."""
 VEHICLE_MODE = "vehicle"
 """Entry ``mode`` of a recording beside a vehicle; its times are those of the vehicle's own clock."""
+MAX_LOG_TIME = 2**64 - 1
 ENDED = "ended"
 """Kind of the supervisor's event that says why a run ended early."""
-
-
-def open_mcap(file: BinaryIO) -> Any:  # Any: the package does not annotate all of its methods
-    """Return the started MCAP writer of a recording."""
-    writer = Writer(file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
-    writer.start(PROFILE, LIBRARY)
-    return writer
 
 
 class RunWriter:
@@ -55,11 +54,13 @@ class RunWriter:
         self._start_ns = start_ns
         self.flush_s = flush_s
         self._channels: dict[str, int] = {}
-        self._schemas: dict[type[Message], int] = {}
+        self._schemas: dict[tuple[str | bytes, ...], int] = {}
         self.file = path.open("wb")
         try:
-            self._mcap = open_mcap(self.file)
-            self._mcap.add_metadata(RUN, {"start_ns": str(start_ns), **metadata})
+            # Any: the package does not annotate all of its methods
+            self._mcap: Any = Writer(self.file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+            self._mcap.start(PROFILE, LIBRARY)
+            self.add_metadata(RUN, {"start_ns": str(start_ns), **metadata})
             self.flush()
         except OSError:  # a full disk
             self._close()
@@ -76,17 +77,26 @@ class RunWriter:
 
         ``crc`` is that of the payload; None: that of our own encoder's payload. Return True if it is flushed.
         """
-        log_time = max(0, t_ns - self._start_ns)
         try:
             data = msgspec.json.encode(message)
             crc = wire.crc(wire.pack(message)) if crc is None else crc
         except (TypeError, ValueError, RecursionError) as error:
             raise wire.WireError(f"not a plain map: {error}") from None
-        channel = self._channels.get(key)
-        if channel is None:
-            channel = self._register(key, kind)
-        self._mcap.add_message(channel, log_time, data, log_time, crc)
+        if key not in self._channels:
+            self._register(key, ENCODING, f"{OWN}{kind.__name__}", "jsonschema", schema.text(kind))
+        self._add(key, t_ns, data, crc)
         return self.flush_if_due()
+
+    def copy(self, stored: StoredMessage, channel: Channel, of: Schema | None) -> None:
+        """Write a message of another file byte for byte, on a channel as there."""
+        if stored.key not in self._channels:
+            described = () if of is None else (of.name, of.encoding, of.data)
+            self._register(stored.key, channel.message_encoding, *described)
+        self._add(stored.key, stored.t_ns, stored.data, stored.crc)
+
+    def add_metadata(self, name: str, metadata: Mapping[str, str]) -> None:
+        """Write a metadata record."""
+        self._mcap.add_metadata(name, metadata)
 
     def flush_if_due(self, *, now: bool = False) -> bool:
         """Flush if ``flush_s`` has passed, or ``now``; return True then. To be called also while no messages arrive."""
@@ -126,10 +136,12 @@ class RunWriter:
         with contextlib.suppress(OSError):  # a full disk does not take the rest of the buffer
             self.file.close()
 
-    def _register(self, key: str, kind: type[Message]) -> int:
-        if kind not in self._schemas:
-            name = f"ltv_mpc.{kind.__name__}"
-            self._schemas[kind] = self._mcap.register_schema(name, "jsonschema", schema.text(kind))
-        channel: int = self._mcap.register_channel(key, "json", self._schemas[kind])
-        self._channels[key] = channel
-        return channel
+    def _register(self, key: str, encoding: str, *described: str | bytes) -> None:
+        """Register the channel of a key; ``described``: name, encoding and text of its schema, if it has one."""
+        if described and described not in self._schemas:
+            self._schemas[described] = self._mcap.register_schema(*described)
+        self._channels[key] = self._mcap.register_channel(key, encoding, self._schemas.get(described, 0))
+
+    def _add(self, key: str, t_ns: int, data: bytes, crc: int) -> None:
+        log_time = min(max(0, t_ns - self._start_ns), MAX_LOG_TIME)
+        self._mcap.add_message(self._channels[key], log_time, data, log_time, crc)

@@ -12,6 +12,7 @@ import contextlib
 from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import takewhile
+from typing import TypeAlias
 
 import msgspec
 
@@ -36,34 +37,15 @@ SWEEP = 10_000
 FIRST_STEP = "the record of its first step, which it published before the recorder was there,"
 
 
-class Frames:
-    """Frames in the order of the file, until they are used or too old: each by its key, epoch, sequence and CRC."""
+Frame: TypeAlias = tuple[str, int, int, int]
+"""Identity of a frame: its key, epoch, sequence number and CRC."""
 
-    def __init__(self) -> None:
-        self._frames: dict[tuple[str, int, int, int], tuple[int, StoredMessage]] = {}  # with the position in the file
-
-    def add(self, stored: StoredMessage, header: Header, at: int) -> None:
-        """Add the message at position ``at`` of the file."""
-        self._frames.setdefault((stored.key, header.epoch, header.sequence, stored.crc), (at, stored))
-
-    def find(self, entry: InboxEntry) -> StoredMessage | None:
-        """Return the frame that the node received; None if it is not here."""
-        return self._frames.get(_identity(entry), (0, None))[1]
-
-    def discard(self, entry: InboxEntry) -> None:
-        """Discard the frame, which a node accepts once."""
-        self._frames.pop(_identity(entry), None)
-
-    def discard_before(self, before: int) -> None:
-        """Discard the frames before position ``before``."""
-        for frame in list(takewhile(lambda frame: self._frames[frame][0] < before, self._frames)):
-            del self._frames[frame]
-
-    def __len__(self) -> int:
-        return len(self._frames)
+Frames: TypeAlias = dict[Frame, tuple[int, StoredMessage]]
+"""Frames in the order of the file, each with its position in it, until they are used or too old."""
 
 
-def _identity(entry: InboxEntry) -> tuple[str, int, int, int]:
+def frame_of(entry: InboxEntry) -> Frame:
+    """Return the identity of the frame that a node received."""
     return entry.key, entry.epoch, entry.sequence, entry.crc
 
 
@@ -111,11 +93,10 @@ class Epoch:
                 missing = f"the record of step {self._next}" if self._next else FIRST_STEP
                 since, step = next(iter(self._steps.values()))
             else:
-                inbox = [self._frames.find(entry) for entry in step.inbox]
-                if None not in inbox:
-                    self._step(step, inbox)  # type: ignore[arg-type]
+                entry = next((entry for entry in step.inbox if frame_of(entry) not in self._frames), None)
+                if entry is None:
+                    self._step(step)
                     continue
-                entry = step.inbox[inbox.index(None)]
                 missing = f"{entry.key} {entry.sequence} (epoch {entry.epoch:012x}, crc {entry.crc:08x})"
             if at is not None and at - since <= REACH:
                 return
@@ -126,23 +107,23 @@ class Epoch:
         self.advance(None)
         if self.gap is None and self.outcome.behind:  # killed before it published a status
             self.steps_run = max(self.steps_run, self._next + 1)
+        if self.gap is None and self._next < self.steps_run:
+            self._stop("the records of its last steps are not in the file", None)
         if self.gap is not None:
             self.gap = msgspec.structs.replace(self.gap, steps=self.steps_run - self.gap.first_step)
-        elif self._next < self.steps_run:
-            self._stop("the records of its last steps are not in the file", None)
         self.outcome.close(self.gap)
         self._node = None
 
-    def _step(self, step: RecordedStep, inbox: Sequence[StoredMessage]) -> None:
+    def _step(self, step: RecordedStep) -> None:
         number = self._next
         del self._steps[number]
         try:
-            arrivals = list(map(received_message, inbox, step.inbox))
+            arrivals = [received_message(self._frames[frame_of(entry)][1], entry) for entry in step.inbox]
         except WireError as error:
             self._stop(f"this version does not know the message: {error}", step.t_ns)
             return
         for entry in step.inbox:
-            self._frames.discard(entry)
+            self._frames.pop(frame_of(entry), None)  # a node accepts a frame once
         if self._node is None:
             try:
                 self._node = self._make()
@@ -159,8 +140,7 @@ class Epoch:
         self.outcome.add_replayed(number, step, [shifted(message, step.shift_ns) for message in messages])
 
     def _stop(self, why: str, t_ns: int | None) -> None:
-        steps = self.steps_run - self._next
-        self.gap = Gap(epoch=self.number, first_step=self._next, steps=steps, t_ns=t_ns, why=why)
+        self.gap = Gap(epoch=self.number, first_step=self._next, steps=0, t_ns=t_ns, why=why)  # counted at the end
         self._steps.clear()
         self._node = None
         self.outcome.stop()
@@ -182,7 +162,7 @@ class NodeReplay:
         self.writes = frozenset(key_of(kind, name) for kind in node.writes)
         self._make = make
         self._outcome = outcome
-        self._frames = Frames()
+        self._frames: Frames = {}
         self._open: list[Epoch] = []
 
     @property
@@ -202,7 +182,7 @@ class NodeReplay:
                         epoch.steps_run = max(epoch.steps_run, steps)
             return
         if table_key(stored.key) in self.reads:
-            self._frames.add(stored, header, at)
+            self._frames.setdefault((stored.key, header.epoch, header.sequence, stored.crc), (at, stored))
             for epoch in self._open:
                 epoch.advance(at)
         if stored.key in self.writes and header.epoch in self.epochs:
@@ -210,7 +190,8 @@ class NodeReplay:
 
     def sweep(self, at: int) -> None:
         """Discard messages that are no longer needed, and close epochs that a newer one has followed."""
-        self._frames.discard_before(at - REACH)
+        for frame in list(takewhile(lambda frame: self._frames[frame][0] < at - REACH, self._frames)):
+            del self._frames[frame]
         for epoch in self._open[:-1]:
             if epoch.last_at < at - REACH:
                 epoch.close()

@@ -30,7 +30,7 @@ from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.topics import BY_TYPE
 from services.bus.wire import WireError
 from services.recording.node_settings import vehicle_name
-from services.recording.reader import Recording
+from services.recording.reader import Recording, metadata_of
 from services.recording.recover import segments
 from services.replay.verdict import Change
 from services.run.folder import write_files
@@ -173,13 +173,6 @@ class Run:
         if found is None:
             raise NoSettingsError(f"the settings of this {name} are not in the file")
         return found
-
-
-def metadata_of(path: Path) -> Mapping[str, str]:
-    """Return the metadata of a recording. Raises ``ConfigError`` if it is not a recording."""
-    recording = Recording(path)
-    next(recording.stored(), None)
-    return recording.metadata
 
 
 def run_config_of(metadata: Mapping[str, str], *, source: str) -> RunConfig:

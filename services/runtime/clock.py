@@ -139,7 +139,7 @@ class VehicleClock:
             self._floor_ns = max(self._floor_ns, ended.read(self._segments[0].at_us))
         if not self._segments or now_us < self._segments[0].at_us:
             return self._last_ns
-        reading = self._segments[0].read(now_us)
+        reading = max(self._floor_ns, self._segments[0].read(now_us))
         self._last_ns = reading if self._last_ns is None else max(self._last_ns, reading)
         return self._last_ns
 

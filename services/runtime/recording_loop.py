@@ -13,6 +13,8 @@ import contextlib
 import time
 from typing import Any
 
+import msgspec
+
 from ltv_mpc.messages import Clock, ClockState, Estimate, Message, NodeStatus, RejectedFrame, RunEvent, StepRecord
 from services.bus.mailbox import Frame, Mailbox
 from services.bus.message_validation import rejection
@@ -24,7 +26,6 @@ from services.bus.session import Reply, open_session
 from services.bus.topics import BY_TYPE, key_of
 from services.bus.wire import Header, WireError, crc, from_map, header_of, unpack
 from services.recording.acceptance import NODES, Acceptance
-from services.recording.history import read_query
 from services.recording.segments import SegmentWriter
 from services.runtime.clock import ClockError, ClockSegment, VehicleClock, monotonic_us
 from services.runtime.clock_sync import STAMPED_INPUTS, ClockSync
@@ -121,15 +122,20 @@ class RecordingLoop:
         # In a simulation only a restarted recorder begins after the others.
         self._acceptance = Acceptance(late=writer.resumes or start_ns is None)
         self._losses = self._acceptance.losses
-        self.received = 0
+        self._written = 0
         self.rejected = 0
         self._out: Outbox
         self._status: NodeStatusReporter
 
     @property
+    def received(self) -> int:
+        """Number of messages in the file."""
+        return self._written - self._writer.lost
+
+    @property
     def dropped(self) -> int:
         """Number of published messages that are not in the file, as far as known."""
-        return self._losses.missing
+        return self._losses.missing + self._writer.lost
 
     def serve(self, bus: BusOptions, stop: StopRequest) -> None:
         """Connect, subscribe to every key, record until a stop is requested, publish the last status, disconnect."""
@@ -154,14 +160,14 @@ class RecordingLoop:
                 dues_us = self._status.due_us, LIFELINE.due_us
                 self._gather((min(due_us for due_us in dues_us if due_us is not None) - now_us) / 1e6)
                 self._writer.flush_if_due()
-                self._settle()
+                self._report_disk()
             self._finish()
             LIFELINE.stopping()
 
     def _answer(self, query: bytes, _: bytes, reply: Reply) -> None:
         """Reply with a part of the history; a query that names no part gets none."""
-        if (first := read_query(query)) is not None:
-            reply(self._writer.history.reply(first), None)
+        with contextlib.suppress(msgspec.MsgspecError):
+            reply(self._writer.history.reply(msgspec.msgpack.decode(query, type=int)), None)
 
     def _finish(self) -> None:
         """Record until each process has reported its count and all its messages have arrived, or no more arrive.
@@ -188,7 +194,7 @@ class RecordingLoop:
         unwritten = sum(frame.received_monotonic_us <= began_us for frame in left)
         self.mailbox.overflowed += unwritten
         self._writer.flush_if_due(now=True)
-        self._settle()
+        self._report_disk()
         if lost := self._account(unwritten):
             self._out.publish(RunEvent(t_ns=self._now_ns, node=NAME, kind="loss", text=lost))
         self._say(f"{counted(self.received, 'message')} recorded, {lost or 'none lost'}")
@@ -197,11 +203,8 @@ class RecordingLoop:
         while self._take(0.05) and monotonic_us() < own_us + OWN_STATUS_US:
             pass
 
-    def _settle(self) -> None:
-        """Count and report the messages that the disk did not take."""
-        for key, epoch in self._writer.refused():
-            self.received -= 1
-            self._losses.mark_lost(key, epoch)
+    def _report_disk(self) -> None:
+        """Report what the disk does not take."""
         for text in self._writer.news():
             self._say(text)
             self._out.publish(RunEvent(t_ns=self._now_ns, node=NAME, kind="disk", text=text))
@@ -215,6 +218,7 @@ class RecordingLoop:
         gaps = [f"{count} of {node}" for node, count in self._losses.by_process().items()]
         gaps += [f"{count} on {key}" for key, count in self._losses.by_key().items()]
         gaps += [f"{unwritten} that still waited to be written"] if unwritten else []
+        gaps += [f"{self._writer.lost} that the disk did not take"] if self._writer.lost else []
         return f"lost: {', '.join(gaps)}" if gaps else ""
 
     def _gather(self, timeout_s: float) -> None:
@@ -273,7 +277,7 @@ class RecordingLoop:
         t_ns = self._time.at(header.sent_monotonic_us or frame.received_monotonic_us, frame.received_monotonic_us)
         assert t_ns is not None
         self._writer.write_plain(frame.key, kind, plain_map, t_ns, crc(frame.payload))
-        self.received += 1
+        self._written += 1
         refused = self._acceptance.count(frame.topic, frame.key, header, frame.received_monotonic_us)
         resumes = self._writer.resumes
         if kind is StepRecord and not (refused or resumes) and self._losses.begins_late(frame.key, header.epoch):

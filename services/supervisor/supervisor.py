@@ -13,7 +13,6 @@ if one of them fails, the run ends. Ctrl-C ends all processes within two seconds
 
 from __future__ import annotations
 
-import importlib
 import secrets
 import time
 from collections.abc import Callable, Sequence
@@ -61,45 +60,22 @@ class Outcome:
     ``summary`` is None if nothing was recorded.
     """
 
-    completed: bool
-    exit_code: int
+    exit_code: int = DONE
     why: str = ""
     last_lines: tuple[str, ...] = ()
     summary: Summary | None = None
 
     def failed(self, why: str, code: int = FAILED) -> Outcome:
         """Return the outcome of a run that has also failed in this way. The first failure is the one that is named."""
-        return replace(self, completed=False, exit_code=self.exit_code or code, why=self.why or why)
-
-
-def run(
-    run_config: RunConfig,
-    folder: RunFolder,
-    screen: Screen,
-    *,
-    certs: Path | None = None,
-    page: LivePage | None = None,
-) -> Outcome:
-    """Run a scenario and write its recording and summary into ``folder``.
-
-    Must be called from the main thread: it receives the signals, and the kernel ties the children to it. ``certs`` is a
-    folder of checked certificates: with it all links use mutual TLS and each process has its role. ``page`` is started
-    as soon as the router listens.
-    """
-    supervisor = Supervisor(run_config, folder, screen, page)
-    try:
-        outcome = supervisor.run(certs)
-        if outcome.why:
-            screen.say(f"{outcome.why}{'; its last lines:' if outcome.last_lines else ''}")
-        for text in outcome.last_lines:
-            screen.say(f"    {text}")
-    finally:
-        screen.close()
-    return outcome
+        return replace(self, exit_code=self.exit_code or code, why=self.why or why)
 
 
 class Supervisor:
-    """Supervisor of one run."""
+    """Supervisor of one run, which writes its recording and summary into ``folder``.
+
+    Use it in the main thread: it receives the signals, and the kernel ties the children to it. ``page`` is started as
+    soon as the router listens.
+    """
 
     def __init__(self, run_config: RunConfig, folder: RunFolder, screen: Screen, page: LivePage | None = None) -> None:
         self._run_config = run_config
@@ -116,10 +92,22 @@ class Supervisor:
         self._summary: GrowingSummary | None = None  # None before there is a recording
 
     def run(self, certs: Path | None = None) -> Outcome:
-        """Run from the first process to the last and write the summary, also of a run that was interrupted."""
-        with stop_on_signals() as self._request:
-            outcome = self._supervise(certs)
-            return self._summarised(outcome) if self._folder.recording.exists() else outcome
+        """Run from the first process to the last and write the summary, also of a run that was interrupted.
+
+        ``certs`` is a folder of checked certificates: with it all links use mutual TLS and each process has its role.
+        """
+        try:
+            with stop_on_signals() as self._request:
+                outcome = self._supervise(certs)
+                if self._folder.recording.exists():
+                    outcome = self._summarised(outcome)
+            if outcome.why:
+                self._screen.say(f"{outcome.why}{'; its last lines:' if outcome.last_lines else ''}")
+            for text in outcome.last_lines:
+                self._screen.say(f"    {text}")
+        finally:
+            self._screen.close()
+        return outcome
 
     def _summarised(self, outcome: Outcome) -> Outcome:
         """Write the summary and show the progress of a long one. A signal skips it.
@@ -210,7 +198,7 @@ class Supervisor:
         """Say in the recording why the run ends before its end."""
         if self._monitor is not None:
             self.processes.end(why)
-        return Outcome(completed=False, exit_code=code, why=why, last_lines=lines)
+        return Outcome(exit_code=code, why=why, last_lines=lines)
 
     def _final_check(self, killed: Sequence[str]) -> Outcome:
         """Check that every process ended by itself and without an error, now that the run is complete."""
@@ -225,8 +213,8 @@ class Supervisor:
             else:
                 continue
             why = f"{name} {how}"
-            return Outcome(completed=False, exit_code=FAILED, why=why, last_lines=last_lines(child.log))
-        return Outcome(completed=True, exit_code=DONE)
+            return Outcome(exit_code=FAILED, why=why, last_lines=last_lines(child.log))
+        return Outcome()
 
     # --- starting ----------------------------------------------------------------------------------------------------
 
@@ -271,8 +259,6 @@ class Supervisor:
             self._page.show("starting the processes")
         forks, until = self.processes.forks, time.monotonic() + LOADING_TIMEOUT_S
         forks.load()
-        for row in process_table.processes(self._run_config.scenario):
-            importlib.import_module(row.module)  # for its config, while the fork server loads the same
         while not forks.is_loaded() and time.monotonic() < until:
             if (code := forks.exit_code()) is not None:
                 raise RunFailed(f"loading {describe_exit(code)}", last_lines(forks.log))

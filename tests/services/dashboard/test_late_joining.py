@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from itertools import chain
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -22,7 +23,7 @@ from services.bus.topics import BY_TYPE
 from services.bus.wire import Header, to_map, unpack
 from services.dashboard.bus_feed import BusFeed
 from services.dashboard.late_joining import HistoryQuery
-from services.recording.history import LIMIT, History, query_of, read_query, read_reply
+from services.recording.history import LIMIT, History, Part
 from services.recording.segments import SegmentWriter
 from services.runtime.recording_loop import RecordingLoop
 from services.runtime.stopping import StopRequest
@@ -187,8 +188,9 @@ def long_dive() -> History:
 def parts(history: History) -> Iterator[list[tuple[str, bytes]]]:
     first: int | None = 0
     while first is not None:
-        part, first = read_reply(history.reply(first))
-        yield part
+        part = msgspec.msgpack.decode(history.reply(first), type=Part)
+        first = part.next
+        yield part.messages
 
 
 def whole(history: History) -> list[tuple[str, bytes]]:
@@ -213,11 +215,11 @@ def test_all_parts_of_a_long_history_arrive(free_port: int) -> None:
     def answer(query: bytes, _: bytes, reply: Reply) -> None:
         nonlocal asked
         asked += 1
-        reply(history.reply(read_query(query) or 0), None)
+        reply(history.reply(msgspec.msgpack.decode(query)), None)
 
     with sessions(free_port) as (aboard, ashore, _):
         aboard.serve(HISTORY, answer)
-        until(lambda: ashore.ask(HISTORY, query_of(0), timeout_s=1.0) is not None)
+        until(lambda: ashore.ask(HISTORY, msgspec.msgpack.encode(0), timeout_s=1.0) is not None)
         asked = 0
         query = HistoryQuery(ashore)
         until(lambda: not query.awaited)

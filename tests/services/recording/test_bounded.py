@@ -17,10 +17,8 @@ def test_losses_are_the_gaps_of_each_key_and_epoch_and_of_a_late_recorder_those_
     assert of.by_key() == {"estimate": 1, "plan": 3, "applied": 1}
     assert [of.begins_late(key, 7) for key in ("estimate", "plan", "applied")] == [False, True, False]
     assert not of.begins_late("plan", 6)
-    of.mark_lost("estimate", 7)
-    assert of.missing == 6
     assert of.fill("plan", 5, 2)
-    assert of.missing == 5
+    assert of.missing == 4
 
 
 def test_a_first_message_far_from_number_0_is_of_a_sender_that_began_elsewhere() -> None:
@@ -39,12 +37,9 @@ def test_losses_of_dropped_sources_stay_counted() -> None:
     assert len(of._sources) == 10
     assert (of.published, of.missing) == (4 * 1000 + 1000, 2 * 1000)
     assert of.by_key() == {"others": 2 * 991, "plan": 2 * 9}
-    of.mark_lost("plan", 0)
-    of.mark_lost("plan", 999)
-    assert of.missing == 2002
     of.add("plan", 0, 500)  # counted from this message on
     of.add("plan", 0, 502)
-    assert of.missing == 2003
+    assert of.missing == 2001
 
 
 def test_the_oldest_of_very_many_gaps_count_as_lost() -> None:
@@ -70,8 +65,7 @@ def test_what_a_process_says_it_has_published_shows_what_is_missing() -> None:
     of.fill("plan", 7, 1)  # refused when it came: it is recorded
     of.fill("plan", 7, 5)
     of.add("plan", 7, 6)
-    of.mark_lost("plan", 7)
-    assert of.by_process() == {"controller": 1}
+    assert of.by_process() == {}
 
 
 def test_a_process_that_published_before_counting_misses_nothing() -> None:
@@ -79,10 +73,7 @@ def test_a_process_that_published_before_counting_misses_nothing() -> None:
     for epoch, sequence in ((1, 3), (1, 4), (2, 0), (2, 5)):  # only the first one tells
         of.add("applied", epoch, sequence)
     of.set_published(1, "plant", 900)
-    of.set_published(2, "sensors", 2)
-    assert of.by_process() == {}
-    for epoch in (1, 2):
-        of.mark_lost("applied", epoch)
+    of.set_published(2, "sensors", 3)
     assert of.by_process() == {"sensors": 1}
 
 

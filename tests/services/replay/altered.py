@@ -9,9 +9,8 @@ from typing import Any
 import msgspec
 
 from services.bus import wire
-from services.recording.reader import Recording, StoredMessage
+from services.recording.reader import Recording, StoredMessage, metadata_of
 from services.recording.writer import RunWriter
-from services.replay.nodes import metadata_of
 
 Plain = dict[str, Any]
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import msgspec
 import pytest
 
@@ -11,7 +13,7 @@ from services.bus import wire
 from services.bus.wire import Header
 from services.recording.reader import StoredMessage
 from services.replay.comparison import Comparison
-from services.replay.node_replay import REACH, Epoch, Frames
+from services.replay.node_replay import REACH, Epoch, Frames, NodeReplay, frame_of
 
 
 def depth(sequence: int) -> tuple[StoredMessage, Header]:
@@ -29,20 +31,6 @@ def entry(stored: StoredMessage, header: Header) -> InboxEntry:
     )
 
 
-def test_used_and_old_frames_are_discarded() -> None:
-    frames = Frames()
-    for at in range(10):
-        frames.add(*depth(at), at)
-    third = entry(*depth(3))
-    assert frames.find(third) is not None
-    frames.discard(third)
-    assert frames.find(third) is None
-    assert len(frames) == 9
-    frames.discard_before(8)
-    assert len(frames) == 2
-    assert frames.find(entry(*depth(9))) is not None
-
-
 class Fragile:
     """Node that raises at a depth."""
 
@@ -55,6 +43,14 @@ class Fragile:
         if inbox:
             raise ZeroDivisionError(f"at {t_ns}")
         return [PressureDepth(t_ns=t_ns, depth_m=1.0)]
+
+
+def test_old_frames_are_discarded() -> None:
+    replay = NodeReplay("sensors", lambda _: Fragile(), partial(Comparison, "sensors"))
+    for at in range(10):
+        replay.take(*depth(at), at)
+    replay.sweep(REACH + 8)
+    assert [at for at, _ in replay._frames.values()] == [8, 9]
 
 
 def recorded(*inboxes: tuple[InboxEntry, ...], first: int = 0) -> StepRecord:
@@ -73,10 +69,11 @@ def begun() -> tuple[Epoch, Comparison, Frames]:
 
 def test_a_step_that_raises_only_in_the_replay_is_a_difference_and_ends_its_epoch() -> None:
     epoch, outcome, frames = begun()
-    frames.add(*depth(0), 0)
+    frames[frame_of(entry(*depth(0)))] = 0, depth(0)[0]
     outcome.add_recorded(*depth(0))
     epoch.take(recorded((entry(*depth(0)),), (), first=1), 2)
     epoch.close()
+    assert not frames  # it is used
     assert (outcome.compared, outcome.identical) == (2, 1)
     difference = outcome.first_difference
     assert difference is not None

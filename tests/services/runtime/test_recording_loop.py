@@ -155,7 +155,7 @@ def test_messages_lost_by_a_full_disk_are_counted_and_reported(tmp_path, free_po
     refused = int(events[0].removeprefix(f"not recording: {os.strerror(errno.ENOSPC)}; ").split()[0])
     assert refused >= 8 - len(kept)  # and words of its own, where any were not flushed yet
     assert events[1] == "recording continues in run.2.mcap"
-    assert events[2].startswith("lost: ")
+    assert events[2] == f"lost: {refused} that the disk did not take"
     status = [message.plain for message in after if message.key == "status/recorder"]
     assert status[-1]["dropped"] == refused
 

@@ -157,13 +157,13 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> WatchedRun:
             Outbox(session, node=OPERATOR, epoch=1, kinds=(Kill,)).publish(Kill(node="nobody\n"))
 
     screen = Screen(disturb)
-    outcome = supervisor.run(s, run, screen, page=page)
+    outcome = supervisor.Supervisor(s, run, screen, page).run()
     return WatchedRun(run, outcome, screen, page, children_of(os.getpid()))
 
 
 def test_a_run_of_processes_records_every_message_and_leaves_no_process(whole: WatchedRun) -> None:
     run, outcome, screen, _, children_left = whole
-    assert (outcome.completed, outcome.exit_code, outcome.why) == (True, 0, ""), (outcome, screen.said)
+    assert (outcome.exit_code, outcome.why) == (0, ""), (outcome, screen.said)
     found, keys = recorded(run.recording)
     assert (found.whole, found.missing) == (True, 0)
     assert "none lost" in (run.path / "logs" / "recorder.log").read_text()
@@ -203,7 +203,7 @@ def run_with_empty_cache(
     empty_cache = SimpleNamespace(is_warm=lambda: False, fill=fill, NOTE=jit_cache.NOTE)
     monkeypatch.setattr(supervisor, "jit_cache", empty_cache)
     s = run_config(3.0)
-    outcome = supervisor.run(s, folder.make("test", s.files, out=path), Screen(), page=page)
+    outcome = supervisor.Supervisor(s, folder.make("test", s.files, out=path), Screen(), page).run()
     assert outcome.exit_code == 1
     assert not children_of(os.getpid())
     return outcome
@@ -265,7 +265,7 @@ def without_room(tmp_path_factory: pytest.TempPathFactory) -> WatchedRun:
     screen, page = Screen(), Page(drawn_s=1000.0)
     with pytest.MonkeyPatch.context() as patch, largest_file(100_000):
         patch.setattr(supervisor, "DRAWING_TIMEOUT_S", 0.5)
-        outcome = supervisor.run(s, run, screen, page=page)
+        outcome = supervisor.Supervisor(s, run, screen, page).run()
     return WatchedRun(run, outcome, screen, page, children_of(os.getpid()))
 
 
@@ -276,7 +276,7 @@ def test_the_clock_does_not_wait_for_an_open_page_for_ever(without_room: Watched
 
 def test_a_run_whose_recording_found_no_room_is_not_complete(without_room: WatchedRun) -> None:
     run, outcome, *_ = without_room
-    assert (outcome.completed, outcome.exit_code) == (False, 1), outcome
+    assert outcome.exit_code == 1, outcome
     assert outcome.why
     assert not list(run.path.rglob("*.part"))
 
@@ -316,7 +316,7 @@ def test_a_killed_or_hung_process_continues_where_it_was_and_a_killed_sensors_pr
     outcome = crewed.run()
     assert outcome.why == "sensors was ended by SIGKILL", (outcome, screen.said)
     assert any("sensors: waiting for" in line for line in outcome.last_lines)
-    assert (outcome.completed, outcome.exit_code) == (False, 1)
+    assert outcome.exit_code == 1
     assert outcome.summary is not None
     assert outcome.summary.restarts == 4
     assert not children_of(os.getpid())
