@@ -133,8 +133,10 @@ class _Bench(ControllerNode):
         return self._left <= 0
 
     def cycle(self, estimate: Estimate, t_ns: int) -> Plan:
-        """Run one cycle of every candidate and of the driver."""
+        """Run one cycle of every candidate and of the driver; when the episode is measured, of the driver alone."""
         driver = self.controller
+        if self.is_done():
+            return driver.plan(estimate, t_ns=t_ns)
         plans = [
             (controller, controller.plan(driver, estimate, t_ns))
             for controller in self._order.sample(self._controllers, len(self._controllers))

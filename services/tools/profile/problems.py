@@ -23,13 +23,14 @@ from ltv_mpc import references
 from ltv_mpc.control.config import STAGE_NS, ControllerConfig, ResolvedConfig
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.control.resolution import settled
-from ltv_mpc.messages import Estimate, Message, StepRecord
-from ltv_mpc.node import Inbox, Node, ReceivedMessage
+from ltv_mpc.messages import Estimate, Message
+from ltv_mpc.node import Inbox, Node
 from ltv_mpc.references import Point, Reference
 from ltv_mpc.vehicle.parameters import Vehicle
-from services.bus.wire import WireError
 from services.recording.reader import Recording
 from services.recording.recover import segments
+from services.replay.node_replay import NodeReplay, feed
+from services.replay.what_if import WhatIf
 from services.run import folder
 from services.run.folder import RunFolder
 from services.run.nodes import make_nodes
@@ -53,7 +54,7 @@ DEFAULT = 0
 """In the place of a number of stages: the horizon that the controller has without settings, with stages that grow."""
 
 Feed = Callable[[Node, Callable[[], bool]], None]
-"""Callback that steps the given node in the controller's place until the given test is True or no input is left."""
+"""Callback that steps the given node in the controller's place until the given test is True, or no input is left."""
 
 
 class Episode(NamedTuple):
@@ -114,7 +115,7 @@ def recorded(run: str, stages: int, cycles: int) -> list[Episode]:
             reference=references.load(str(run_folder.config("reference"))),
             config=settled(config, vehicle),
             cycles=cycles,
-            feed=lambda node, is_done: _replay(run_folder.recording, node, is_done),
+            feed=lambda node, _: _replay(run_folder.recording, node),
         )
     ]
 
@@ -153,7 +154,7 @@ def _episode(kind: str, stages: int, cycles: int, seed: int) -> Episode:
         reference = Point(north_m=TARGET_NORTH_M, east_m=0.0, depth_m=40.0, start_s=0.0)
         run_config = dataclasses.replace(run_config, reference=reference)
 
-    def feed(node: Node, is_done: Callable[[], bool]) -> None:
+    def simulate(node: Node, is_done: Callable[[], bool]) -> None:
         others = [other for other in make_nodes(run_config) if not isinstance(other, ControllerNode)]
         if kind == UNKNOWN:
             others = [_WithoutCurrent(other) if isinstance(other, Sensors) else other for other in others]
@@ -163,7 +164,7 @@ def _episode(kind: str, stages: int, cycles: int, seed: int) -> Episode:
             lockstep.advance(t_ns)
             t_ns += run_config.scenario.controller.period_ns
 
-    return Episode(kind, run_config.vehicle, run_config.reference, run_config.controller, cycles, feed)
+    return Episode(kind, run_config.vehicle, run_config.reference, run_config.controller, cycles, simulate)
 
 
 class _WithoutCurrent:
@@ -184,29 +185,6 @@ class _WithoutCurrent:
 # --- recorded --------------------------------------------------------------------------------------------------------
 
 
-def _replay(recording: Path, node: Node, is_done: Callable[[], bool]) -> None:
-    """Step ``node`` with the times and inboxes that the recorded node of its name had, until ``is_done``.
-
-    Messages that the recorder lost are left out.
-    """
-    kinds = frozenset((StepRecord, *node.reads))
-    received: dict[tuple[str, int, int], Message] = {}
-    for stored in Recording(*segments(recording)):
-        if stored.kind not in kinds:
-            continue
-        try:
-            message, header = stored.typed()
-        except WireError:  # its readers have rejected it
-            continue
-        if not isinstance(message, StepRecord):
-            received[stored.key, header.epoch, header.sequence] = message
-            continue
-        for step in message.steps if message.node == node.name else ():
-            if is_done():
-                return
-            inbox = [
-                ReceivedMessage(received.pop(name), entry.epoch, entry.sequence, entry.received_t_ns)
-                for entry in step.inbox
-                if (name := (entry.key, entry.epoch, entry.sequence)) in received
-            ]
-            node.step(step.t_ns, inbox)
+def _replay(recording: Path, node: Node) -> None:
+    """Step ``node`` with the times and inboxes that the recorded node of its name had, as far as none is missing."""
+    feed(Recording(*segments(recording)), [NodeReplay(node.name, lambda _: node, lambda _: WhatIf(node.name))])

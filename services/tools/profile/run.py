@@ -50,18 +50,6 @@ class Spread(msgspec.Struct, frozen=True, kw_only=True):
         return cls(median=median, p90=p90, p99=p99, max=most)
 
 
-class Ratio(msgspec.Struct, frozen=True, kw_only=True):
-    """Time of a cycle relative to the reference's, at the same horizon and state of the caches in the same run."""
-
-    median: float
-    p99: float
-
-    @classmethod
-    def of(cls, time: Spread, reference: Spread) -> Ratio:
-        """Return the ratio of two times."""
-        return cls(median=time.median / reference.median, p99=time.p99 / reference.p99)
-
-
 class Row(msgspec.Struct, frozen=True, kw_only=True):
     """Measurements of one solver at one horizon."""
 
@@ -76,9 +64,9 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
     iterations: Spread
     thrust_error_N: Spread  # first free knot, from the exact solution of the same QP
     status: dict[str, int]
-    ratio: Ratio  # interleaved
-    repeated_ratio: Ratio
-    flushed_ratio: Ratio
+    ratio: dict[str, float]  # interleaved: median and p99 over the reference's, at the same horizon in the same run
+    repeated_ratio: dict[str, float]
+    flushed_ratio: dict[str, float]
 
 
 class Profile(msgspec.Struct, frozen=True, kw_only=True):
@@ -157,6 +145,11 @@ def run(
 
 def _row(solver: str, samples: Samples, yardstick: Samples) -> Row:
     measured, reference = _spreads(samples), _spreads(yardstick)
+
+    def ratio(name: str) -> dict[str, float]:
+        time, unit = measured[name], reference[name]
+        return {"median": time.median / unit.median, "p99": time.p99 / unit.p99}
+
     return Row(
         solver=solver,
         stages=samples.stages,
@@ -164,9 +157,9 @@ def _row(solver: str, samples: Samples, yardstick: Samples) -> Row:
         cycles=len(samples.cycle_us),
         stage_us={stage: Spread.of(times) for stage, times in samples.stage_us.items()},
         status={str(status): count for status, count in samples.status.most_common()},
-        ratio=Ratio.of(measured["cycle_us"], reference["cycle_us"]),
-        repeated_ratio=Ratio.of(measured["repeated_us"], reference["repeated_us"]),
-        flushed_ratio=Ratio.of(measured["flushed_us"], reference["flushed_us"]),
+        ratio=ratio("cycle_us"),
+        repeated_ratio=ratio("repeated_us"),
+        flushed_ratio=ratio("flushed_us"),
         **measured,
     )
 

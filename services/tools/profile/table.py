@@ -43,7 +43,7 @@ def text(profile: Profile) -> str:
 def _cycle(row: Row) -> Sequence[str]:
     hot, turns, cold, i, off = row.repeated_us, row.cycle_us, row.flushed_us, row.iterations, row.thrust_error_N
     times = (hot.median, turns.median, cold.median, turns.p99, turns.max)
-    ratios = (row.repeated_ratio.median, row.ratio.median, row.flushed_ratio.median, row.ratio.p99)
+    ratios = (*(of["median"] for of in (row.repeated_ratio, row.ratio, row.flushed_ratio)), row.ratio["p99"])
     return [
         *_names(row),
         *(f"{time:.0f}" for time in times),
