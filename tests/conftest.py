@@ -25,17 +25,8 @@ gc.set_threshold(50_000, 20, 100)  # thousands of tests and trees of syntax are 
 
 HERE = Path(__file__).parent
 LONGEST = (
-    *(
-        "services/supervisor",
-        "foreign_plant",
-        "docs",
-        "services/tools",
-        "strangers",
-        "system",
-        "benchmarks",
-        "examples",
-    ),
-    *("browser", "services/edges", "services/replay", "services/dashboard", "services/runtime"),
+    *("browser", "services/supervisor", "foreign_plant", "docs", "services/tools", "strangers", "system"),
+    *("benchmarks", "examples", "services/edges", "services/replay", "services/dashboard", "services/runtime"),
     *("ltv_mpc/control", "ltv_mpc/safety", "ltv_mpc/localisation", "ltv_mpc/vehicle", "ltv_mpc/references"),
 )
 """Folders whose files take longest. They start first: a long file that starts last keeps all other workers waiting."""

@@ -252,7 +252,7 @@ def fly(
             water, gust = column.at(0.0, middle_ns), gusts.force_N(middle_ns, 0.0)
             plant.set_outside((steady[0] + water[0], steady[1] + water[1]), (wind_N[0] + gust[0], wind_N[1] + gust[1]))
         times_ns = range(t_ns, t_ns + CHUNK * STEP_NS + 1, STEP_NS)
-        track = plant.run(path.followed(times_ns, np.pad(command, ((0, 0), (0, 1))))[:, :2], STEP_S)
+        track = plant.run(path.followed(times_ns, command)[:, :2], STEP_S)
         state = track[-1]
         tracks.append(track)
         commands.append(command)
@@ -263,7 +263,7 @@ def fly(
         t_s=STEP_S * np.arange(1, len(track) + 1),
         track=track,
         point=track[:, :2] + np.stack([cos * ahead - sin * aside, sin * ahead + cos * aside], axis=1),
-        command_N=np.concatenate(commands),
+        command_N=np.concatenate(commands)[:, :2],
         nominal=np.repeat(np.array(nominal), CHUNK),
         needed_N=0.5 * hull.drag_N(conditions.current_mps),
     )
@@ -344,8 +344,8 @@ class _Thrusters:
                 self._knots = knots.astype(float), thrust
 
     def commands(self, t_ns: int, *, rest: bool) -> Array:
-        """Return the commands (CHUNK, 2) of the next steps."""
-        out = np.zeros((CHUNK, 2))
+        """Return the commands (CHUNK, 3) of the next steps; there is no third thruster."""
+        out = np.zeros((CHUNK, 3))
         if not rest:
             times = t_ns + STEP_NS * np.arange(1, CHUNK + 1)
             for i in range(2):

@@ -17,6 +17,7 @@ from typing import Any
 import pytest
 
 from services.cli import app
+from services.reporting.plots.catalogue import PLOTS
 from services.supervisor import loopback
 from tests.services.dashboard.synthetic_vehicle import Served, served
 from tests.waiting import until
@@ -74,8 +75,8 @@ UNFIT = """() => {
   boxes.forEach((a, i) => boxes.slice(0, i).forEach((b) => {
     const width = Math.min(a.right, b.right) - Math.max(a.left, b.left);
     const height = Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top);
-    const inside = a.one.contains(b.one) || b.one.contains(a.one);
-    if (!inside && width > 1 && height > 3) wrong.push(`overlap: ${a.one.outerHTML} and ${b.one.outerHTML}`);
+    if (width <= 1 || height <= 3 || a.one.contains(b.one) || b.one.contains(a.one)) return;
+    wrong.push(`overlap: ${a.one.outerHTML} and ${b.one.outerHTML}`);
   }));
   for (const title of document.querySelectorAll(".xtitle, .ytitle")) {
     const box = title.getBoundingClientRect(), plot = title.closest(".plot").getBoundingClientRect();
@@ -166,9 +167,34 @@ def fits(page: Any) -> None:
 
     A plot makes room for the letters of its axes in a second step, after it has the size of its place.
     """
+    wrong: list[str] = []
+
+    def nothing_is_wrong() -> bool:
+        wrong[:] = page.evaluate(UNFIT)
+        return wrong == []
+
     with suppress(AssertionError):
-        until(lambda: page.evaluate(UNFIT) == [])
-    assert page.evaluate(UNFIT) == []
+        until(nothing_is_wrong)
+    assert wrong == []
+
+
+POINTS = """names => Math.min(...names.map((name) => {
+  const lines = [...document.querySelectorAll(`#plot-${name} .scatterlayer path`)];
+  return lines.map(line => line.getAttribute("d") || "").join("").length;
+}))"""
+"""How much is drawn in the emptiest of these plots: the length of its paths."""
+
+TITLES = """names => names.map(name => ["x", "y"].map(
+  axis => document.querySelector(`#plot-${name} .${axis}title`).textContent
+))"""
+"""Labels of the axes of these plots."""
+
+
+def drawn(page: Any, *, but: tuple[str, ...] = ()) -> None:
+    """Wait until each plot is drawn; check the labels of its axes."""
+    labels = {plot.name: [plot.x.label, plot.y.label] for plot in PLOTS if plot.name not in but}
+    until(lambda: page.evaluate(POINTS, list(labels)) > 100)
+    assert page.evaluate(TITLES, list(labels)) == list(labels.values())
 
 
 SETTLED = """() => [...document.querySelectorAll(".plot")].every((plot) => {

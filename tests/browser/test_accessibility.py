@@ -29,6 +29,7 @@ VIOLATIONS = """async () => {
 CONTROLS = """() => {
   const all = [...document.querySelectorAll("button, select, input, summary, a[href], [tabindex='0']")];
   const usable = all.filter(one => !one.disabled && one.checkVisibility({ visibilityProperty: true }));
+  all.forEach(one => delete one.dataset.reach);
   usable.forEach((one, i) => { one.dataset.reach = i; });
   return usable.length;
 }"""
@@ -54,21 +55,23 @@ def axe() -> str:
 
 
 @contextmanager
-def shown_live(browser: Any, live: Served) -> Iterator[Any]:
-    with tab(browser, SCREEN, own=live.url) as page:
-        page.goto(f"{live.url}#{live.token}")
-        until(lambda: page.inner_text("#link") == "live")
-        until(lambda: page.locator("#buttons button:enabled").count() > 5)
-        until(lambda: page.locator("#events tr").count() > 0)
+def opened(browser: Any, what: str, live: Served, report: Path) -> Iterator[Any]:
+    """Open the live page or a report, and wait until all of it is there."""
+    url = report.as_uri() if what == "report" else live.url
+    with tab(browser, SCREEN, own=url) as page:
+        page.goto(url if what == "report" else f"{url}#{live.token}")
+        if what == "live page":
+            until(lambda: page.inner_text("#link") == "live")
+            until(lambda: page.locator("#buttons button:enabled").count() > 5)
+            until(lambda: page.locator("#events tr").count() > 0)
         until(lambda: page.locator(".js-plotly-plot .xtitle").count() > 10)
         yield page
 
 
-@contextmanager
-def shown_report(browser: Any, report: Path) -> Iterator[Any]:
-    with tab(browser, SCREEN, own=report.as_uri()) as page:
-        page.goto(report.as_uri())
-        until(lambda: page.locator(".js-plotly-plot .xtitle").count() > 10)
+@pytest.fixture(scope="module", params=["report", "live page"])
+def shown(request: pytest.FixtureRequest, browser: Any, live: Served, reports: tuple[Path, Path]) -> Iterator[Any]:
+    """Open a page for all tests that look at it; the last of them ends the run of the live page."""
+    with opened(browser, request.param, live, reports[0]) as page:
         yield page
 
 
@@ -80,11 +83,8 @@ def check_with_axe(page: Any, axe: str) -> None:
         assert page.evaluate(VIOLATIONS) == []
 
 
-def test_axe_finds_no_serious_violation(browser: Any, live: Served, reports: tuple[Path, Path], axe: str) -> None:
-    with shown_live(browser, live) as page:
-        check_with_axe(page, axe)
-    with shown_report(browser, reports[0]) as page:
-        check_with_axe(page, axe)
+def test_axe_finds_no_serious_violation(shown: Any, axe: str) -> None:
+    check_with_axe(shown, axe)
 
 
 def check_keyboard(page: Any, least: int, keys: tuple[str, ...] = ("Tab", "Shift+Tab")) -> None:
@@ -100,33 +100,35 @@ def check_keyboard(page: Any, least: int, keys: tuple[str, ...] = ("Tab", "Shift
         assert [page.locator(f"[data-reach='{i}']").evaluate("one => one.outerHTML") for i in left] == []
 
 
-def test_the_keyboard_reaches_every_control(browser: Any, live: Served, reports: tuple[Path, Path]) -> None:
+def test_the_keyboard_reaches_every_control(shown: Any) -> None:
     """Buttons, speed, the earlier moments, lists that scroll, menus with their files, whole track."""
-    with shown_live(browser, live) as page:
-        page.focus("#moment")
-        page.keyboard.press("Home")
-        until(lambda: page.locator("#now:enabled").count() == 1)
-        page.focus("#panel-depth summary")
-        page.keyboard.press("Enter")
-        until(lambda: page.locator("#panel-depth .menu button:visible").count() == 3)
-        check_keyboard(page, 28)
-    with shown_report(browser, reports[0]) as page:
-        check_keyboard(page, 20)
+    if shown.locator("#moment").count() == 0:  # the report
+        check_keyboard(shown, 20)
+        return
+    shown.focus("#moment")
+    shown.keyboard.press("Home")
+    until(lambda: shown.locator("#now:enabled").count() == 1)
+    shown.focus("#panel-depth summary")
+    shown.keyboard.press("Enter")
+    until(lambda: shown.locator("#panel-depth .menu button:visible").count() == 3)
+    check_keyboard(shown, 28)
+    shown.focus("#panel-depth summary")
+    shown.keyboard.press("Enter")
+    shown.click("#now")
 
 
-def test_after_the_end_everyone_can_use_the_page(browser, live, reports, axe) -> None:
-    with tab(browser, SCREEN, own=live.url) as page, ended(live, reports[0]):
-        page.goto(f"{live.url}#{live.token}")
-        until(lambda: page.locator("#finished a").count() == 1)
-        check_with_axe(page, axe)
-        check_keyboard(page, 18, ("Tab",))
-        assert page.locator("#finished [data-reach]").count() == 2
+@pytest.mark.parametrize("shown", ["live page"], indirect=True)
+def test_after_the_end_everyone_can_use_the_page(shown, live, reports, axe) -> None:
+    with ended(live, reports[0]):
+        until(lambda: shown.locator("#finished a").count() == 1)
+        check_with_axe(shown, axe)
+        check_keyboard(shown, 18, ("Tab",))
+        assert shown.locator("#finished [data-reach]").count() == 2
 
 
 @pytest.mark.parametrize("what", ["live page", "report"])
 def test_text_of_twice_the_size_loses_nothing(large_letters, live, reports, what) -> None:
-    shown = shown_live(large_letters, live) if what == "live page" else shown_report(large_letters, reports[0])
-    with shown as page:
+    with opened(large_letters, what, live, reports[0]) as page:
         assert page.evaluate("getComputedStyle(document.querySelector('h1')).fontSize") == "32px"
         assert page.evaluate("getComputedStyle(document.querySelector('#plot-depth .xtitle')).fontSize") == "22px"
         for _ in looks(page):
