@@ -9,7 +9,7 @@ from services.run.run_config import RunConfig, resolve
 from services.runtime.console import Console
 from services.runtime.process_time import ClockOptions
 from services.runtime.runner import Runner
-from sim.plant import STEP_NS
+from sim.plant import Plant
 from sim.sensors.node import Sensors
 
 Config = settings.Sensors
@@ -24,21 +24,12 @@ def main(config: Config) -> int:
 
 
 def warm_up(run_config: RunConfig) -> None:
-    """Load all compiled code: run 1.4 s of a vehicle at rest through sensors that are then discarded."""
-    sensors = _make(run_config)
-    still = (0.0, 0.0, 0.0)
-    for t_ns in range(-1_000_000_000, 400_000_000, STEP_NS):
-        truth = Truth(
-            t_ns=t_ns,
-            position_m=still,
-            velocity_mps=still,
-            attitude_rad=still,
-            water_velocity_mps=still,
-            yaw_rate_radps=0.0,
-            current_mps=(0.0, 0.0),
-            thrust_N=still,
-        )
-        sensors.step(t_ns, [ReceivedMessage(truth, 1, 0, t_ns)])
+    """Load all compiled code: run 1.4 s of a plant without plans through sensors; both are then discarded."""
+    plant, sensors = Plant(run_config.scenario, run_config.vehicle, run_config.water), _make(run_config)
+    for t_ns in range(-1_000_000_000, 400_000_000, Plant.schedule.period_ns):
+        for message in plant.step(t_ns, []):
+            if isinstance(message, Truth):
+                sensors.step(message.t_ns, [ReceivedMessage(message, 1, 0, message.t_ns)])
 
 
 def _make(run_config: RunConfig) -> Sensors:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -26,22 +26,13 @@ class SegmentWriter:
     Raises ``OSError`` if the first segment cannot be opened.
     """
 
-    def __init__(
-        self,
-        recording: Path,
-        *,
-        start_ns: int,
-        metadata: Mapping[str, str],
-        retry_s: float = RETRY_S,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
+    def __init__(self, recording: Path, *, start_ns: int, metadata: Mapping[str, str]) -> None:
         self._recording = recording
         self._start_ns, self._metadata = start_ns, metadata
         self.lost = 0
         """Number of messages that are not in the file, because the disk did not take them."""
         self._unsafe = 0  # messages since the last flush
         self._news: list[str] = []
-        self._retry_period_s, self._clock = retry_s, clock
         self._retry_s = 0.0  # monotonic time of the next attempt
         self.history = History()
         """Decimated history of what was recorded, for pages that join late."""
@@ -107,10 +98,10 @@ class SegmentWriter:
             raise
 
     def _reopen(self) -> RunWriter | None:
-        now_s = self._clock()
+        now_s = time.monotonic()
         if now_s < self._retry_s:
             return None
-        self._retry_s = now_s + self._retry_period_s
+        self._retry_s = now_s + RETRY_S
         try:
             self.segment = self._open()
         except OSError:
@@ -122,7 +113,7 @@ class SegmentWriter:
         """Truncate the segment to its last successful flush, and retry later with the next one."""
         writer.abandon()
         self.segment = None
-        self._retry_s = self._clock() + self._retry_period_s
+        self._retry_s = time.monotonic() + RETRY_S
         self.lost += self._unsafe
         self._news.append(f"not recording: {error.strerror}; {self._unsafe} messages not recorded so far")
         self._unsafe = 0

@@ -124,11 +124,6 @@ class Runner:
         self._receiver: InputReceiver
 
     @property
-    def name(self) -> str:
-        """Name of the node."""
-        return self._node.name
-
-    @property
     def finished(self) -> bool:
         """True once the last step of a schedule that ends is done."""
         return self._time.schedule.finished

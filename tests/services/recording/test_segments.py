@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import errno
 import os
-import time
-from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -38,8 +37,8 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "run.mcap"
 
 
-def opened(path: Path, retry_s: float = segments.RETRY_S, clock: Callable[[], float] = time.monotonic) -> SegmentWriter:
-    return SegmentWriter(path, start_ns=0, metadata={"seed": "7"}, retry_s=retry_s, clock=clock)
+def opened(path: Path) -> SegmentWriter:
+    return SegmentWriter(path, start_ns=0, metadata={"seed": "7"})
 
 
 def test_a_restarted_recorder_writes_the_next_segment_and_the_join_is_complete(path: Path) -> None:
@@ -77,9 +76,10 @@ def test_a_join_for_which_there_is_no_room_leaves_every_segment_as_it_is(path, m
     assert sequences(path.with_name("run.2.mcap")) == [1]
 
 
-def test_a_full_disk_counts_what_it_cannot_store_and_the_next_segment_has_what_follows(path: Path) -> None:
+def test_a_full_disk_counts_what_it_cannot_store_and_the_next_segment_has_what_follows(path: Path, monkeypatch) -> None:
     now_s = 0.0
-    with opened(path, clock=lambda: now_s) as writer:
+    monkeypatch.setattr(segments, "time", SimpleNamespace(monotonic=lambda: now_s))
+    with opened(path) as writer:
         assert writer.segment is not None
         writer.segment.flush_s = 0.0
         put(writer, 0)
@@ -105,9 +105,10 @@ def test_a_full_disk_counts_what_it_cannot_store_and_the_next_segment_has_what_f
     assert sequences(path.with_name("run.2.mcap")) == [4]
 
 
-def test_while_there_is_no_room_every_try_is_in_vain_and_leaves_no_file(path: Path) -> None:
+def test_while_there_is_no_room_every_try_is_in_vain_and_leaves_no_file(path: Path, monkeypatch) -> None:
     """There is not even room for the head of a file, of which a part is written."""
-    with opened(path, retry_s=0.0) as writer:
+    monkeypatch.setattr(segments, "RETRY_S", 0.0)
+    with opened(path) as writer:
         fill_up(writer)
         put(writer, 0)
         writer.flush_if_due(now=True)

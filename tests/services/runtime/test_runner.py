@@ -170,7 +170,7 @@ def running(bus: BusOptions, *runners: Runner) -> Iterator[Beside]:
         for thread in threads:
             thread.start()
         try:
-            until(lambda: {status.node for status in beside.of(NodeStatus)} >= {runner.name for runner in runners})
+            until(lambda: len({status.node for status in beside.of(NodeStatus)}) == len(runners))
             yield beside
         finally:
             for runner, thread in zip(runners, threads, strict=True):
