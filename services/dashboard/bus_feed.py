@@ -40,19 +40,8 @@ WAITING = 200
 
 OF_PLAN = ("authority", "health", "health_why", "origin", "why", "fence")
 OF_CONTROLLER = ("source", "progress", "arrived")
+OF_STATUS = ("steps", "step_us", "dropped", "rejected")
 """Fields of messages that the page shows as they are."""
-
-
-class Process(msgspec.Struct, frozen=True, kw_only=True):
-    """Status of one process as the page shows it."""
-
-    name: str
-    state: str
-    silent_s: float  # wall time since its last status message
-    steps: int
-    step_us: float
-    dropped: int
-    rejected: int
 
 
 class PageStatus(msgspec.Struct, frozen=True, kw_only=True):
@@ -72,7 +61,7 @@ class PageStatus(msgspec.Struct, frozen=True, kw_only=True):
     depth_m: float | None
     heading_rad: float | None
     ages_s: dict[str, float | None]
-    processes: tuple[Process, ...]
+    processes: list[dict[str, Any]]  # name, state, wall time since its last status (s), and ``OF_STATUS`` of that
     simulated: bool  # the true state is published
     preparation: str  # what a run prepares before it starts its processes
 
@@ -192,20 +181,13 @@ class BusFeed:
         self._clock = VehicleClock()
         self._processes.clear()
 
-    def _process_rows(self, *, paused: bool) -> tuple[Process, ...]:
-        now_s = time.monotonic()
-        return tuple(
-            Process(
-                name=name,
-                state="paused" if paused and not status.finished else process_state(status),
-                silent_s=round(now_s - came_s, 2),
-                steps=status.steps,
-                step_us=round(status.step_us, 1),
-                dropped=status.dropped,
-                rejected=status.rejected,
-            )
-            for name, (status, came_s) in in_order(self._processes)
-        )
+    def _process_rows(self, *, paused: bool) -> list[dict[str, Any]]:
+        now_s, rows = time.monotonic(), []
+        for name, (status, came_s) in in_order(self._processes):
+            state = "paused" if paused and not status.finished else process_state(status)
+            row = {"name": name, "state": state, "silent_s": round(now_s - came_s, 2)}
+            rows.append(row | {field: getattr(status, field) for field in OF_STATUS})
+        return rows
 
 
 def _clock_first(frame: Frame) -> tuple[bool, bool, str]:
