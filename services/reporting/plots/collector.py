@@ -130,8 +130,7 @@ class Collector:
             Estimate: self._add_estimate,
             Plan: self._distances.add_plan,
             Applied: self._add_applied,
-            CycleTiming: lambda timing: self._delays.add_timing(timing, self.newest(Plan)),
-            Clock: self._delays.add_clock,
+            CycleTiming: lambda timing: self._delays.add_timing(timing, self.newest(Plan), self.newest(Clock)),
             LocalisationReport: self._add_report,
             NodeSettings: lambda settings: self.set_files(settings.files),
         }
