@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeAlias, get_args
+from typing import Annotated, Any, Literal, TypeAlias
 
 import typer
 
@@ -23,7 +23,7 @@ NEEDED = {"follow": "a reference, NAME or FILE,", "fence": f"a fence, FILE or `{
 
 @with_bus("operator")
 def ctl(
-    action: Annotated[Action, argument("ACTION", f"One of {', '.join(get_args(Action))}.")],
+    action: Annotated[Action, argument("ACTION", "What the controller does, or `heartbeat`.")],
     file: Annotated[
         str | None,
         argument(
