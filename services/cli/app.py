@@ -9,12 +9,11 @@ import os
 import shutil
 import sys
 import textwrap
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Annotated
 
 import typer
-from typer.core import TyperOption
 from typer.main import get_command
 
 from ltv_mpc.errors import ConfigError
@@ -140,16 +139,7 @@ def _name_and_line(command: Callable[..., object] | typer.Typer) -> tuple[str, s
 @cache
 def _tree() -> Callable[..., object]:
     """Return the tree of all commands, built once."""
-    command = get_command(app)
-    _hide_completion_options(command.params)
-    return command
-
-
-def _hide_completion_options(parameters: Iterable[object]) -> None:
-    """Hide the two options for shell completion, which typer would list first."""
-    for parameter in parameters:
-        if isinstance(parameter, TyperOption) and parameter.name in ("install_completion", "show_completion"):
-            parameter.hidden = True
+    return get_command(app)
 
 
 def _refuse(text: str, code: int = BAD_INPUT) -> int:

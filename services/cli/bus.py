@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal, TypeAlias
 
 import typer
 
 from services.cli.options import BusOptions, Force, Json, argument, flag, group, invalid, needs, option, with_bus
 
-HEARTBEAT = "heartbeat"
-
-ACTIONS = "arm", "disarm", "stop", "manual", "release", "follow", "hold", "fence", "clear", "source", HEARTBEAT
+Action: TypeAlias = Literal[
+    "arm", "disarm", "stop", "manual", "release", "follow", "hold", "fence", "clear", "source", "heartbeat"
+]
 """Actions of commands to the controller, and the heartbeat of an operator."""
 
 NO_FENCE = "none"
@@ -23,7 +23,7 @@ NEEDED = {"follow": "a reference, NAME or FILE,", "fence": f"a fence, FILE or `{
 
 @with_bus("operator")
 def ctl(
-    action: Annotated[str, argument("ACTION", f"One of {', '.join(ACTIONS)}.", autocompletion=lambda: ACTIONS)],
+    action: Annotated[Action, argument("ACTION", "What the controller does, or `heartbeat`.")],
     file: Annotated[
         str | None,
         argument(
@@ -41,16 +41,11 @@ def ctl(
     Waits for the reply, at most 3 s. Exit code 1 and the reason if the controller rejects the command. `heartbeat`
     has no reply: it is sent once a second until Ctrl-C, as a sign that an operator is present.
     """
-    from ltv_mpc import references
+    from ltv_mpc import messages, references
     from ltv_mpc.config import to_toml
     from ltv_mpc.geofence.fence import Fence
-    from ltv_mpc.messages import Action
     from ltv_mpc.node import DEFAULT_SOURCE
-    from ltv_mpc.settings_schema import closest_name
 
-    if action not in ACTIONS:
-        near = f'; did you mean "{meant}"?' if (meant := closest_name(action, ACTIONS)) else ""
-        raise invalid("argument ACTION", f"must be one of {', '.join(ACTIONS)}{near}", value=action)
     if force and action != "arm":
         raise invalid("option --force", "only arm takes it", value=action)
     if action in NEEDED and file is None:
@@ -60,7 +55,7 @@ def ctl(
         raise invalid("argument ACTION", problem, value=action)
     from services.processes import operator as node
 
-    if action == HEARTBEAT:
+    if action == "heartbeat":
         return node.heartbeat(bus)
     fields, notes = dict[str, Any](force=force), list[str]()
     if action == "follow":
@@ -75,7 +70,7 @@ def ctl(
         fields["source"] = file
     for note in notes:
         typer.echo(note, err=True)
-    return node.main(Action(action), fields, bus)
+    return node.main(messages.Action(action), fields, bus)
 
 
 def topics(

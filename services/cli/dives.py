@@ -6,8 +6,6 @@ import contextlib
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from services.cli.options import Force, Json, SensorsFile, argument, group, invalid, option, plots_or_a_line, show
 
 dive = group("dive", "Plan a dive: expected drift and its error budget.")
@@ -62,16 +60,14 @@ def plan_(
     wanted = plan.Dive(sensors, reference, duration_s, 40.0 if depth_m is None else depth_m, max(numbers), 0)
     wanted.run_config()
     recorded = None if against is None else report.recorded_drift(Recording(*segments(folder.find(against))))
-    written = None if out is None else folder.open_folder(out, force=force)
+    file = None if out is None else folder.open_folder(out, force=force) / "dive-plan.json"
     with progress_bar(f"dives with {sensors} sensors") as progress:
         result = plan.plan(wanted, fixes=numbers, runs=runs, limit_m=limit_m, progress=progress)
     result = msgspec.structs.replace(result, against=recorded)
-    plain = show(result, lambda: report.text(result), as_json=as_json)
-    if written is not None:
-        (written / "dive-plan.json").write_text(plain + "\n", encoding="utf-8")
+    if file is not None:
         with plots_or_a_line("no plots"):
-            report.write(result, written / "dive-plan.html")
-        typer.echo(str(written), err=as_json)
+            report.write(result, file.with_suffix(".html"))
+    show(result, lambda: report.text(result), as_json=as_json, file=file)
     return 0
 
 
@@ -117,9 +113,9 @@ def localise(
             with contextlib.suppress(OSError):  # it is not empty
                 written.rmdir()
         raise
-    show(outcome.result, lambda: text.text(outcome.result), as_json=as_json)
     if written is not None:
         with plots_or_a_line("no plots"):
             dive.write(outcome, written)
-        typer.echo(str(written), err=as_json)
+    result = written and written / "localise.json"
+    show(outcome.result, lambda: text.text(outcome.result), as_json=as_json, file=result)
     return 0

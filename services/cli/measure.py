@@ -59,13 +59,10 @@ def profile(
         recorded = None if run is None else [problems.recorded(run, N, cycles) for N in stages]
         by_horizon = recorded or [problems.simulated(N, cycles, seed) for N in stages]
         named = latency.parse_solvers(solvers, by_horizon[0][0])
-        written = None if out is None else folder.open_folder(out, force=force)
+        file = None if out is None else folder.open_folder(out, force=force) / "profile.json"
         text = f"cycles at {', '.join(str(episodes[0].config.stages) for episodes in by_horizon)} stages"
         measured = latency.run(by_horizon, named, seed=seed, progress=lambda share: show_progress(share, text))
-    plain = show(measured, lambda: table.text(measured), as_json=as_json)
-    if written is not None:
-        (written / "profile.json").write_text(plain + "\n", encoding="utf-8")
-        typer.echo(str(written), err=as_json)
+    show(measured, lambda: table.text(measured), as_json=as_json, file=file)
     return 0
 
 

@@ -108,13 +108,15 @@ def plots_or_a_line(what: str, *, wanted: bool = False) -> Iterator[None]:
             raise typer.Exit(1) from None
 
 
-def show(result: object, text: Callable[[], str], *, as_json: bool) -> str:
-    """Print a result on stdout as text or as JSON; return the JSON."""
+def show(result: object, text: Callable[[], str], *, as_json: bool, file: Path | None = None) -> None:
+    """Print a result on stdout as text or as JSON, and write the JSON into a file, whose folder is printed last."""
     import msgspec
 
     plain = msgspec.json.format(msgspec.json.encode(result), indent=2).decode()
     typer.echo(plain if as_json else text())
-    return plain
+    if file is not None:
+        file.write_text(plain + "\n", encoding="utf-8")
+        typer.echo(str(file.parent), err=as_json)
 
 
 def parameters(function: Callable[..., Any]) -> list[inspect.Parameter]:

@@ -25,7 +25,6 @@ from services.cli.options import (
     flag,
     invalid,
     option,
-    plots_or_a_line,
     show,
     with_bus,
     with_options,
@@ -188,7 +187,7 @@ def _check_certs(certs: Path, run_config: RunConfig) -> None:
 
 
 def _run_in_lockstep(run_config: RunConfig, folder: RunFolder, as_json: bool) -> int:
-    from services.reporting.terminal import run_progress_bar
+    from services.reporting.terminal import progress_bar
     from services.runtime.stopping import DONE, FAILED, INTERRUPTED, stop_on_signals
     from services.tools import lockstep_run
 
@@ -198,7 +197,7 @@ def _run_in_lockstep(run_config: RunConfig, folder: RunFolder, as_json: bool) ->
         if compiled is not None:
             return compiled
         try:
-            with run_progress_bar(scenario.start_ns, scenario.end_ns) as progress:
+            with progress_bar(scenario.title) as progress:
                 summary = lockstep_run.run(run_config, folder, progress=progress, stop=request)
         except lockstep_run.NotStored as failure:
             typer.echo(f"{folder.path}: the run cannot be stored: {failure.strerror}", err=True)
@@ -248,13 +247,14 @@ def _run_processes(
     from services.dashboard.config import About, Config
     from services.dashboard.sidecar import Sidecar
     from services.reporting.terminal import RunScreen
+    from services.run.folder import REPORT
     from services.supervisor.supervisor import Supervisor
 
     limits = [(thruster.min_N, thruster.max_N) for thruster in run_config.vehicle.thrusters]
     screen = RunScreen(run_config.scenario.title, limits, files=run_config.files)
     about = About(
         name=f"{run_config.scenario.title} · vehicle {run_config.vehicle.name}",
-        report=str(folder.report),
+        report=str(folder.path / REPORT),
         again=_again(folder.path, folder),
     )
     config = Config(vehicle=str(folder.config("vehicle")), about=about, open_browser=open_browser, of_a_run=True)
@@ -329,14 +329,14 @@ def dashboard(
     if address.is_unspecified:
         problem = "must be one address, not all of them: the page checks it in each request"
         raise invalid("option --host", problem, value=host)
-    try:
-        from services.dashboard import serve
-        from services.dashboard.config import Config
-    except ModuleNotFoundError as missing:
-        typer.echo(f"dashboard: {missing.name} is not installed: pip install {missing.name} (extra viz)", err=True)
+    from services.dashboard.config import Config, missing_package
+
+    if missing := missing_package():
+        typer.echo(f"dashboard: {missing}", err=True)
         return 1
-    with plots_or_a_line("dashboard", wanted=True):
-        return serve.main(Config(bus=bus, host=host, port=port, vehicle=vehicle, open_browser=open_))
+    from services.dashboard import serve
+
+    return serve.main(Config(bus=bus, host=host, port=port, vehicle=vehicle, open_browser=open_))
 
 
 @with_bus("display")

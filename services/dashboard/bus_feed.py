@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from typing import Any, TypeVar
+from typing import Any
 
 import msgspec
 
@@ -19,6 +19,7 @@ from ltv_mpc.messages import (
     Message,
     NodeSettings,
     NodeStatus,
+    Plan,
     Truth,
 )
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -33,27 +34,14 @@ from services.reporting.safety import process_state
 from services.runtime.clock import ClockError, VehicleClock, monotonic_us
 from services.supervisor.screen import in_order
 
-S = TypeVar("S", bound=Message)
-
 WAITING = 200
 """Queue length of the messages of ``EVERY`` between two updates; at 20 times real time there are 14."""
 
 
 OF_PLAN = ("authority", "health", "health_why", "origin", "why", "fence")
 OF_CONTROLLER = ("source", "progress", "arrived")
+OF_STATUS = ("steps", "step_us", "dropped", "rejected")
 """Fields of messages that the page shows as they are."""
-
-
-class Process(msgspec.Struct, frozen=True, kw_only=True):
-    """Status of one process as the page shows it."""
-
-    name: str
-    state: str
-    silent_s: float  # wall time since its last status message
-    steps: int
-    step_us: float
-    dropped: int
-    rejected: int
 
 
 class PageStatus(msgspec.Struct, frozen=True, kw_only=True):
@@ -73,7 +61,7 @@ class PageStatus(msgspec.Struct, frozen=True, kw_only=True):
     depth_m: float | None
     heading_rad: float | None
     ages_s: dict[str, float | None]
-    processes: tuple[Process, ...]
+    processes: list[dict[str, Any]]  # name, state, wall time since its last status (s), and ``OF_STATUS`` of that
     simulated: bool  # the true state is published
     preparation: str  # what a run prepares before it starts its processes
 
@@ -91,7 +79,6 @@ class BusFeed:
         self._newest = LatestCache()
         self._every = Mailbox(WAITING)
         self._seen: dict[str, Frame] = {}
-        self._newest_messages: dict[type[Message], Message] = {}
         self._processes: dict[str, tuple[NodeStatus, float]] = {}
         self._clock = VehicleClock()
         self._heartbeats = Outbox(session, node=OPERATOR, epoch=new_epoch(), kinds=(Heartbeat,))
@@ -132,15 +119,16 @@ class BusFeed:
 
     def status(self) -> PageStatus:
         """Return the current status."""
-        clock, controller = self._of(Clock), self._of(ControllerStatus)
-        plan, estimate, applied = self.collector.newest.plan, self.collector.newest.estimate, self._of(Applied)
+        newest = self.collector.newest
+        clock, controller, plan = newest(Clock), newest(ControllerStatus), newest(Plan)
+        estimate, applied = newest(Estimate), newest(Applied)
         t_ns = self.t_ns()
         ages = {
             "estimate": _age(t_ns, None if estimate is None else estimate.t_ns),
             "plan": _age(t_ns, None if plan is None else plan.cycle_t_ns),
             "actuators": _age(t_ns, None if applied is None else applied.t_ns),
         }
-        if (localisation := self._of(LocalisationReport)) is not None:
+        if (localisation := newest(LocalisationReport)) is not None:
             ages |= {report.sensor: _age(t_ns, report.last_t_ns) for report in localisation.sensors}
         state = "silent" if clock is None else clock.state.value
         known = self.collector.vehicle
@@ -160,29 +148,28 @@ class BusFeed:
             heading_rad=None if estimate is None else estimate.heading_rad,
             ages_s=ages,
             processes=self._process_rows(paused=clock is not None and clock.state is ClockState.PAUSED),
-            simulated=self._of(Truth) is not None,
+            simulated=newest(Truth) is not None,
             preparation=self.preparation,
         )
 
     def t_ns(self) -> int | None:
         """Return the vehicle time now (ns); without a clock, the time of the newest estimate."""
         reading = self._clock.read(monotonic_us())
-        estimate = self.collector.newest.estimate
+        estimate = self.collector.newest(Estimate)
         return estimate.t_ns if reading is None and estimate is not None else reading
 
     def _receive(self, message: Message, header: Header, came_s: float) -> None:
-        controller = self._of(ControllerStatus)
+        controller = self.collector.newest(ControllerStatus)
         if isinstance(message, Estimate) and controller is not None and header.epoch != controller.source_epoch != 0:
             return  # of another source than the one in use
         if isinstance(message, Clock):
             self._receive_clock(message)
         if isinstance(message, NodeStatus):
             self._processes[message.node] = (message, came_s)
-        self._newest_messages[type(message)] = message
         self.collector.add(message, header.epoch)
 
     def _receive_clock(self, clock: Clock) -> None:
-        newest = self._of(Clock)
+        newest = self.collector.newest(Clock)
         if newest is not None and newest.clock_epoch != clock.clock_epoch:
             self._reset()
         with contextlib.suppress(ClockError):  # the clock of another host: use the time of the estimates
@@ -192,27 +179,15 @@ class BusFeed:
         self.run += 1
         self.collector = Collector(self._vehicle)
         self._clock = VehicleClock()
-        self._newest_messages.clear()
         self._processes.clear()
 
-    def _of(self, kind: type[S]) -> S | None:
-        message = self._newest_messages.get(kind)
-        return message if isinstance(message, kind) else None
-
-    def _process_rows(self, *, paused: bool) -> tuple[Process, ...]:
-        now_s = time.monotonic()
-        return tuple(
-            Process(
-                name=name,
-                state="paused" if paused and not status.finished else process_state(status),
-                silent_s=round(now_s - came_s, 2),
-                steps=status.steps,
-                step_us=round(status.step_us, 1),
-                dropped=status.dropped,
-                rejected=status.rejected,
-            )
-            for name, (status, came_s) in in_order(self._processes)
-        )
+    def _process_rows(self, *, paused: bool) -> list[dict[str, Any]]:
+        now_s, rows = time.monotonic(), []
+        for name, (status, came_s) in in_order(self._processes):
+            state = "paused" if paused and not status.finished else process_state(status)
+            row = {"name": name, "state": state, "silent_s": round(now_s - came_s, 2)}
+            rows.append(row | {field: getattr(status, field) for field in OF_STATUS})
+        return rows
 
 
 def _clock_first(frame: Frame) -> tuple[bool, bool, str]:

@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 import enum
+from importlib.util import find_spec
 
 import msgspec
 
 from services.bus.options import BusOptions
 
 SERVER = "services.dashboard.serve"
+NEEDS = ("plotly", "starlette", "uvicorn", "websockets")
+
+
+def missing_package() -> str:
+    """Return which package of the page is not installed, and how to install it; empty if all are."""
+    missing = next((name for name in NEEDS if find_spec(name) is None), "")
+    return missing and f"{missing} is not installed: pip install {missing} (extra viz)"
 
 
 class View(enum.StrEnum):

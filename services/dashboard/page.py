@@ -187,7 +187,7 @@ async def _reply(text: str, reader: Reader, commands: _Commands) -> ButtonReply 
         return None
     refused = ""
     moment = feed.status()
-    known = [process.name for process in moment.processes]
+    known = [process["name"] for process in moment.processes]
     if not has_token:
         refused = "read-only: open the printed address, which carries the token"
     elif request.button in SIMULATED and not moment.simulated:

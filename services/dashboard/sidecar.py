@@ -7,19 +7,17 @@ import os
 import subprocess
 import sys
 import threading
-from importlib.util import find_spec
 from pathlib import Path
 
 import msgspec
 
 from services.bus.options import BusOptions
 from services.bus.topics import OPERATOR
-from services.dashboard.config import SERVER, Config, View
+from services.dashboard.config import SERVER, Config, View, missing_package
 from services.runtime.stopping import Say
 from services.supervisor import entry_point
 from services.supervisor.entry_point import write_config
 
-NEEDS = ("plotly", "starlette", "uvicorn", "websockets")
 STOP_S = 1.5
 REPORT_S = 5.0
 """Longest wait for the browsers that take the report."""
@@ -40,9 +38,8 @@ class Sidecar:
 
     def start(self, bus: BusOptions) -> None:
         """Start the page on this bus, or report that a package is missing."""
-        missing = next((name for name in NEEDS if find_spec(name) is None), None)
-        if missing is not None:
-            self._say(f"no live page: {missing} is not installed: pip install {missing} (extra viz)")
+        if missing := missing_package():
+            self._say(f"no live page: {missing}")
             return
         path = self._logs / "dashboard.json"
         write_config(path, msgspec.structs.replace(self._config, bus=msgspec.structs.replace(bus, role=OPERATOR)))

@@ -13,6 +13,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections import deque
+from collections.abc import Mapping
 from typing import Any
 
 import msgspec
@@ -87,48 +88,35 @@ class Stream:
     def tick(self) -> None:
         """Update the feed and queue the new data for every browser."""
         self._feed.update()
-        new = self._new()
-        if not self.readers:
-            return
-        tick = _text("tick", new)
+        collector = self._feed.collector
+        if self._feed.run != self._run:  # the browsers hold the data of another run
+            self._run, self._sent, self._marks = self._feed.run, {}, 0
+            for reader in self.readers:
+                reader.behind = True
+        tick = _text("tick", self._since(self._sent, self._marks)) if self.readers else ""
+        self._sent = {name: (table.generation, len(table)) for name, table in collector.tables.items()}
+        self._marks = len(collector.marks.marks)
         whole = ""
         for reader in self.readers:
             if not reader.behind:
                 reader.send(tick)
             elif reader.empty():  # it has taken all texts
-                whole = whole or _text("whole", self._whole())
+                whole = whole or _text("whole", self._since({}, 0))
                 reader.behind = False
                 reader.send(whole)
 
-    def _new(self) -> dict[str, Any]:
-        collector = self._feed.collector
-        if self._feed.run != self._run:  # the browsers hold the data of another run
-            self._run = self._feed.run
-            self._sent, self._marks = {}, 0
-            for reader in self.readers:
-                reader.behind = True
-        rows: dict[str, Columns] = {}
-        replaced = []
+    def _since(self, sent: Mapping[str, tuple[int, int]], marks: int) -> dict[str, Any]:
+        """Return what is new since tables of these generations and rows, and so many marks, were sent."""
+        collector, rows, replaced = self._feed.collector, dict[str, Columns](), list[str]()
         for name, table in collector.tables.items():
-            generation, count = self._sent.get(name, (0, 0))
+            generation, count = sent.get(name, (table.generation, 0))
             if table.generation != generation:
                 replaced.append(name)
                 count = 0
-            if len(table) > count:
-                rows[name] = table.since(count) if self.readers else {}
-            self._sent[name] = (table.generation, len(table))
-        marks = collector.marks.marks[self._marks :]
-        self._marks = len(collector.marks.marks)
-        return {"rows": rows, "replaced": replaced, "marks": marks, **self._current()} if self.readers else {}
-
-    def _whole(self) -> dict[str, Any]:
-        collector = self._feed.collector
-        rows = {name: table.since(0) for name, table in collector.tables.items()}
-        return {"rows": rows, "replaced": [], "marks": collector.marks.marks, **self._current()}
-
-    def _current(self) -> dict[str, Any]:
-        collector = self._feed.collector
-        return {"tables": collector.current_tables(), "values": collector.values, "status": self._feed.status()}
+            if len(table) > count or name not in sent:
+                rows[name] = table.since(count)
+        current = {"tables": collector.current_tables(), "values": collector.values, "status": self._feed.status()}
+        return {"rows": rows, "replaced": replaced, "marks": collector.marks.marks[marks:], **current}
 
 
 def _text(kind: str, content: dict[str, Any]) -> str:

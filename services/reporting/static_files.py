@@ -48,11 +48,6 @@ def plotly_path() -> Path:
 
 
 @cache
-def plotly() -> str:
-    """Return the contents of plotly.min.js."""
-    return plotly_path().read_text(encoding="utf-8")
-
-
 def report_scripts() -> tuple[str, str]:
     """Return the scripts of a report: plotly, and this project's. They are the same in every report."""
-    return plotly(), text("plots.js") + text("report.js")
+    return plotly_path().read_text(encoding="utf-8"), text("plots.js") + text("report.js")

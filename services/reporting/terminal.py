@@ -116,14 +116,6 @@ class RunScreen:
 
 
 @contextmanager
-def run_progress_bar(start_ns: int, end_ns: int, console: Console | None = None) -> Iterator[Callable[[int], None]]:
-    """Show the progress of a lock-step run on stderr, if it is a terminal; call the result with the vehicle time."""
-    with progress_bar(f"t {_seconds(start_ns)} s", console) as progress:
-        span_ns = max(1, end_ns - start_ns)
-        yield lambda t_ns: progress((t_ns - start_ns) / span_ns, f"t {_seconds(t_ns)} s")
-
-
-@contextmanager
 def progress_bar(
     what: str, console: Console | None = None, *, line_s: float = math.inf
 ) -> Iterator[Callable[..., None]]:

@@ -32,8 +32,7 @@ ROOT = Path("runs")
 LATEST = "latest"
 DELETED = "the folder was deleted during the run"
 RECORDING = "run.mcap"
-REPORT = "report.html"
-RESULTS = ("summary.json", "currents.csv", "report.html")
+SUMMARY, CURRENTS, REPORT = RESULTS = "summary.json", "currents.csv", "report.html"
 """Files that are beside the recording once a run has ended."""
 
 
@@ -47,21 +46,6 @@ class RunFolder:
     def recording(self) -> Path:
         """Path of the recording, run.mcap."""
         return self.path / RECORDING
-
-    @property
-    def summary(self) -> Path:
-        """Path of the results, summary.json."""
-        return self.path / "summary.json"
-
-    @property
-    def report(self) -> Path:
-        """Path of the report, report.html."""
-        return self.path / REPORT
-
-    @property
-    def currents(self) -> Path:
-        """Path of the estimated current, currents.csv."""
-        return self.path / "currents.csv"
 
     @property
     def scenario(self) -> Path:
@@ -79,10 +63,10 @@ class RunFolder:
 
     def write_result(self, summary: msgspec.Struct, water: WaterPrior | None) -> None:
         """Write summary.json, and currents.csv of the estimated water, each of them completely or not at all."""
-        with draft_of(self.summary) as draft:
+        with draft_of(self.path / SUMMARY) as draft:
             draft.write_bytes(msgspec.json.format(msgspec.json.encode(summary), indent=2) + b"\n")
         if water is not None:
-            with draft_of(self.currents) as draft:
+            with draft_of(self.path / CURRENTS) as draft:
                 write_profile(draft, water)
 
 
@@ -186,7 +170,7 @@ def read_summary(recording: Path) -> dict[str, Any]:
 
     Raises ``ConfigError`` if it cannot be read: its figures are not replaced by others in silence.
     """
-    path = recording.with_name("summary.json")
+    path = recording.with_name(SUMMARY)
     return parse_json(read_text(path, what="summary"), f"summary {path}") if path.exists() else {}
 
 

@@ -29,12 +29,7 @@ UNKNOWN = "unknown"
 
 def version() -> str:
     """Return the version: ``0.2.0``, for a checkout ``0.2.0+g1a2b3c4d5``, and ``.changed`` if its files differ."""
-    return combine(installed(), commit())
-
-
-def installed() -> str:
-    """Return the version of the installed distribution."""
-    return ltv_mpc.__version__
+    return combine(ltv_mpc.__version__, commit())
 
 
 def combine(installed: str, commit: str) -> str:
@@ -73,7 +68,7 @@ def provenance_table() -> dict[str, str]:
     """Return the table ``[made_by]`` of a run's scenario.toml."""
     checked_out = commit()
     table = {
-        "ltv_mpc": combine(installed(), checked_out),
+        "ltv_mpc": combine(ltv_mpc.__version__, checked_out),
         "commit": checked_out,
         "python": platform.python_version(),
         "system": f"{platform.system()} {platform.machine()}",

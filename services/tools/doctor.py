@@ -30,8 +30,6 @@ PYTHONS = ((3, 11), (3, 14))
 MIN_CORES = 2
 LOW_SPACE_BYTES, MIN_SPACE_BYTES = 1_000_000_000, 100_000_000
 """Free space (bytes) below which there is a warning, and a problem; a recorded descent of 200 s takes 15 MB."""
-TOOLS = ("dev", "bench", "docs", "mutation")
-"""Extras for the development of this project, which are not reported."""
 
 
 class Level(enum.StrEnum):
@@ -97,9 +95,7 @@ def project() -> Found:
 def packages() -> Found:
     """Check that the required packages are installed, of the right version, and can be imported."""
     there, wrong, needed = [], [], []
-    for name, bounds, extra in requirements():
-        if extra:
-            continue
+    for name, bounds in requirements():
         version = installed(name)
         if version is not None and within(version, bounds):
             module = {"eclipse-zenoh": "zenoh"}.get(name, name.replace("-", "_"))
@@ -115,17 +111,6 @@ def packages() -> Found:
     return (
         (Level.PROBLEM, "; ".join(wrong), f"pip install {' '.join(needed)}") if wrong else (Level.OK, ", ".join(there))
     )
-
-
-def extras() -> Found:
-    """Report the optional packages; a missing one is never a problem."""
-    missing: dict[str, list[str]] = {extra: [] for _, _, extra in requirements() if extra and extra not in TOOLS}
-    for name, _, extra in requirements():
-        if extra in missing and installed(name) is None:
-            missing[extra].append(name)
-    there = ", ".join(extra for extra, names in missing.items() if not names) or "none"
-    lacking = ", ".join(f"{extra} (pip install {' '.join(names)})" for extra, names in missing.items() if names)
-    return Level.OK, there + (f"; not installed: {lacking}" if lacking else "")
 
 
 def cores() -> Found:
@@ -180,18 +165,18 @@ def compiled() -> Found:
     return Level.OK, f"ready in {CACHE}"
 
 
-CHECKS: tuple[Callable[[], Found], ...] = (python, project, packages, extras, cores, space, loopback, compiled)
+CHECKS: tuple[Callable[[], Found], ...] = (python, project, packages, cores, space, loopback, compiled)
 """Checks in the order in which they are printed; those on which others depend come first."""
 
 
-def requirements() -> list[tuple[str, str, str]]:
-    """List name, bounds and extra of each distribution that is required; empty if this project is not installed."""
-    pattern = re.compile(r"""([\w.-]+)(?:\[[^]]*])?\s*\(?([^;)]*)\)?\s*(?:;.*extra == ['"]([\w-]+)['"].*)?""")
+def requirements() -> list[tuple[str, str]]:
+    """List name and bounds of each distribution that every run needs; empty if this project is not installed."""
+    pattern = re.compile(r"([\w.-]+)(?:\[[^]]*])?\s*\(?([^;)]*)\)?\s*")  # those of extras have a condition
     try:
         found = [pattern.fullmatch(text) for text in metadata.requires(DISTRIBUTION) or ()]
     except metadata.PackageNotFoundError:
         return []
-    return [(one[1], one[2].replace(" ", ""), one[3] or "") for one in found if one is not None]
+    return [(one[1], one[2].replace(" ", "")) for one in found if one is not None]
 
 
 def installed(name: str) -> str | None:

@@ -7,7 +7,7 @@ import errno
 import gc
 from collections.abc import Callable, Sequence
 from functools import cache, lru_cache
-from typing import Any
+from typing import Any, TypeAlias
 
 from ltv_mpc.messages import InboxEntry, Message, RecordedStep, RejectedFrame, StepRecord
 from ltv_mpc.node import Node, ReceivedMessage
@@ -29,6 +29,8 @@ LATEST = frozenset(topic.message_type for topic in topics.TOPICS if topic.delive
 PROGRESS_NS = 1_000_000_000
 """Vehicle time between two reports of progress."""
 
+Progress: TypeAlias = Callable[[float, str], object]
+
 
 class NotStored(OSError):
     """Failure to store a run: a full disk or a deleted folder. ``summary`` is that of the part that was simulated."""
@@ -42,13 +44,13 @@ def run(
     run_config: RunConfig,
     folder: RunFolder | None = None,
     *,
-    progress: Callable[[int], None] | None = None,
+    progress: Progress | None = None,
     stop: Callable[[], bool] = lambda: False,
 ) -> Summary:
     """Run all nodes in lock step, to the end of the run or until ``stop`` returns True.
 
     With a ``folder`` the recording, the summary and the estimated current are written there. ``progress`` receives the
-    vehicle time (ns). Raises ``NotStored``.
+    share done, and the vehicle time as text. Raises ``NotStored``.
     """
     if folder is None:
         return simulate(run_config, progress=progress, stop=stop)
@@ -79,7 +81,7 @@ def simulate(
     run_config: RunConfig,
     writer: RunWriter | None = None,
     *,
-    progress: Callable[[int], None] | None = None,
+    progress: Progress | None = None,
     stop: Callable[[], bool] = lambda: False,
     nodes: Sequence[Node] | None = None,
     keep: Callable[[Message], None] | None = None,
@@ -112,7 +114,8 @@ def simulate(
                 break
             lockstep.advance(t_ns)
             if progress is not None:
-                progress(t_ns)
+                share = (t_ns - scenario.start_ns) / max(1, scenario.end_ns - scenario.start_ns)
+                progress(share, f"t {t_ns / 1e9:z.1f} s")
         else:
             why = ""
     except OSError as error:

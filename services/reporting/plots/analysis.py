@@ -1,4 +1,4 @@
-"""Tables for the review of a recorded run: errors over depth, histogram and spectrum of thrusts, normalised error."""
+"""Tables for the review of a recorded run: error of the current over depth, histogram and spectrum of thrusts."""
 
 from __future__ import annotations
 
@@ -16,29 +16,17 @@ MIN_SAMPLES = 64
 
 
 def tables(history: dict[str, Columns]) -> dict[str, Columns]:
-    """Return the history with the tables of errors over depth, histogram, spectrum and residuals.
+    """Return the history with the tables of the error of the current, histogram and spectrum.
 
     Parameters
     ----------
     history : tables of a run, of ``Collector.all_tables``.
     """
     return history | {
-        "vehicle_over_depth": _over_depth(history["true_distance"], history["truth"]),
-        "estimate_over_depth": _over_depth(history["distance"], history["track"]),
         "current_error": _current_error(history.get("profile", {}), history["true_current"]),
         "histogram": _histogram(history["thrust"]),
         "spectrum": _spectrum(history["thrust"]),
-        "residuals": _residuals(history["errors"]),
     }
-
-
-def _over_depth(distance: Columns, track: Columns) -> Columns:
-    t, depth = _floats(track["t_s"]), _floats(track["depth_m"])
-    known = np.isfinite(depth)
-    if not known.any():
-        return {}
-    depths = np.interp(_floats(distance["t_s"]), t[known], depth[known])
-    return {"depth_m": shorts(depths), "distance_m": list(distance["distance_m"])}
 
 
 def _current_error(profile: Columns, true: Columns) -> Columns:
@@ -88,20 +76,6 @@ def _spectrum(thrust: Columns) -> Columns:
         waves = np.fft.rfft(window * (parts - parts.mean(axis=1, keepdims=True)))
         power = 2.0 * step_s / np.sum(window**2) * np.mean(np.abs(waves) ** 2, axis=0)
         columns[f"{side}_N2pHz"] = shorts(np.where(power > 1e-4, power, np.nan)[1:])  # a logarithmic axis
-    return columns
-
-
-def _residuals(errors: Columns) -> Columns:
-    """Return the position error in standard deviations of the filter, in the worst direction."""
-    sigma = 0.5 * _floats(errors["plus_2_sigma_m"])
-    columns: Columns = {"t_s": list(errors["t_s"])}
-    with np.errstate(divide="ignore", invalid="ignore"):
-        for axis in ("north", "east"):
-            ratio = _floats(errors[f"{axis}_m"]) / sigma
-            columns[axis] = shorts(np.where(sigma > 1e-3, ratio, np.nan))
-    if all(cell is None for axis in ("north", "east") for cell in columns[axis]):
-        return {}
-    columns |= {"low": [-2.0] * len(sigma), "high": [2.0] * len(sigma)}
     return columns
 
 

@@ -248,8 +248,8 @@ OVER_DEPTH = Plot(
     group=Group.REVIEW,
     diving=True,
     series=(
-        Series("vehicle", "vehicle_over_depth", "distance_m", "depth_m", palette.TRUTH, compared=True),
-        Series("estimate", "estimate_over_depth", "distance_m", "depth_m", palette.ESTIMATE, compared=True),
+        Series("vehicle", "true_distance", "distance_m", "depth_m", palette.TRUTH, compared=True),
+        Series("estimate", "distance", "distance_m", "depth_m", palette.ESTIMATE, compared=True),
     ),
 )
 
@@ -306,12 +306,12 @@ RESIDUALS = Plot(
     title="Position error in standard deviations",
     y=Axis("error / standard deviation (1)", min_span=4.0),
     group=Group.REVIEW,
-    note="Error since t = 0, divided by the standard deviation of the filter in its worst direction; the band is ±2.",
+    note="Error since t = 0, divided by the standard deviation of the filter in its worst direction.",
     series=(
-        _band("±2", "residuals", "low", "high", palette.REFERENCE),
-        Series("north", "residuals", "t_s", "north", palette.NORTH, compared=True),
-        Series("east", "residuals", "t_s", "east", palette.EAST, compared=True),
+        Series("north", "errors", "t_s", "north_sd", palette.NORTH, compared=True),
+        Series("east", "errors", "t_s", "east_sd", palette.EAST, compared=True),
     ),
+    levels=_limits("±2", "sd_low", "sd_high"),
 )
 
 UNITS = {"adcp": "m/s", "bottom_track": "m/s", "gnss_velocity": "m/s", "compass": "deg"}

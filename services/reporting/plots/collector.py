@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, TypeVar
 
 from ltv_mpc.messages import (
     Acknowledgement,
@@ -16,6 +16,7 @@ from ltv_mpc.messages import (
     Clock,
     Command,
     ControllerStatus,
+    CurrentProfile,
     CycleTiming,
     Estimate,
     FenceInForce,
@@ -29,13 +30,16 @@ from ltv_mpc.messages import (
 )
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.recording.node_settings import is_in_places, vehicle_of
+from services.reporting.plots import newest
 from services.reporting.plots.delays import Delays
 from services.reporting.plots.distances import Distances
 from services.reporting.plots.energy import Energy
 from services.reporting.plots.events import Marks
-from services.reporting.plots.newest import SIGMAS, NewestState
+from services.reporting.plots.newest import SIGMAS
 from services.reporting.plots.table import Columns, Table
 from services.reporting.plots.truth import TrueTrack, principal
+
+S = TypeVar("S", bound=Message)
 
 NEWEST = (Clock, Truth, Estimate, Applied, FenceInForce, ControllerStatus, LocalisationReport)
 """Messages of which the live page shows the newest."""
@@ -73,9 +77,9 @@ HISTORY = {
     "track": MOTION,
     "truth": MOTION,
     "reference": ("t_s", "north_m", "east_m", "depth_m"),
-    "errors": ("t_s", "north_m", "east_m", "minus_2_sigma_m", "plus_2_sigma_m"),
-    "distance": ("t_s", "distance_m"),
-    "true_distance": ("t_s", "distance_m"),
+    "errors": ("t_s", "north_m", "east_m", "minus_2_sigma_m", "plus_2_sigma_m", "north_sd", "east_sd"),
+    "distance": ("t_s", "distance_m", "depth_m"),
+    "true_distance": ("t_s", "distance_m", "depth_m"),
     "thrust": ("t_s", "port_N", "starboard_N", "vertical_N"),
     "energy": ("t_s", "all_J", "lateral_J"),
     **dict.fromkeys(NIS.values(), ("t_s", "deviation")),
@@ -87,6 +91,9 @@ PEAKS = {"latency": "cycle_ms"}
 
 NIS_BAND = 1.96
 """Half width of the band that holds 95 % of all consistent means (standard deviations)."""
+
+MIN_SD_M = 1e-3
+"""Standard deviation of the position up to which an error is not divided by it."""
 
 VELOCITY_ROW = 2
 """First row of a satellite fix that is a velocity."""
@@ -112,7 +119,7 @@ class Collector:
         self.values: dict[str, float] = {}
         self.vehicle: Vehicle | None = None
         self.set_vehicle(vehicle)
-        self.newest = NewestState()
+        self._newest: dict[type, Any] = {}  # message by type, and the profile of the current
         self._true = TrueTrack()
         self._distances = Distances(self.tables, self.seconds)
         self._delays = Delays(self.tables["latency"], self.seconds)
@@ -121,12 +128,10 @@ class Collector:
         self._handlers: dict[type[Message], Callable[[Any], None]] = {
             Truth: self._add_truth,
             Estimate: self._add_estimate,
-            Plan: self._add_plan,
+            Plan: self._distances.add_plan,
             Applied: self._add_applied,
-            CycleTiming: lambda timing: self._delays.add_timing(timing, self.newest.plan),
-            Clock: self._delays.add_clock,
+            CycleTiming: lambda timing: self._delays.add_timing(timing, self.newest(Plan), self.newest(Clock)),
             LocalisationReport: self._add_report,
-            FenceInForce: self._add_fence,
             NodeSettings: lambda settings: self.set_files(settings.files),
         }
 
@@ -169,19 +174,29 @@ class Collector:
         return (t_ns - self._origin_ns) / 1e9
 
     def add(self, message: Message, epoch: int) -> None:
-        """Add a message; ``epoch`` is the one of its sender."""
+        """Add a message; ``epoch`` is the one of its sender. The same one, or another estimate so soon, is ignored."""
+        last = self.newest(Estimate)
+        soon = isinstance(message, Estimate) and last is not None and 0 <= message.t_ns - last.t_ns < ESTIMATES_NS
+        if soon or message is self.newest(type(message)):
+            return
+        self._newest[type(message)] = message
         handler = self._handlers.get(type(message))
         if handler is not None:
             handler(message)
         self.marks.add(message, epoch)
 
+    def newest(self, kind: type[S]) -> S | None:
+        """Return the newest message of a type."""
+        found: S | None = self._newest.get(kind)
+        return found
+
     def current_tables(self) -> dict[str, Columns]:
         """Return the tables of the newest state."""
-        estimate = self.newest.estimate
+        estimate = self.newest(Estimate)
         covariance = None
         if estimate is not None:
             covariance = self._true.covariance(estimate, absolute=self._true.in_places)
-        tables = self.newest.tables(self.vehicle, covariance, self.seconds, self._unwrapped_deg)
+        tables = newest.tables(self._newest, self.vehicle, covariance, self.seconds, self._unwrapped_deg)
         return {**tables, "stages": self._delays.stages()}
 
     def all_tables(self) -> dict[str, Columns]:
@@ -195,20 +210,18 @@ class Collector:
             self._show_truth(truth)
 
     def _show_truth(self, truth: Truth) -> None:
-        position = self._true.position(truth)
-        if position is None:
+        shown = self._true.position(truth)
+        if shown is None:
             return
+        position = *shown, truth.position_m[2]
         turning = self._unwrapped_deg(truth.attitude_rad[2]), math.degrees(truth.yaw_rate_radps)
-        self.tables["truth"].add(self.seconds(truth.t_ns), *position, truth.position_m[2], *turning)
+        self.tables["truth"].add(self.seconds(truth.t_ns), *position, *turning)
         self.tables["true_current"].add(truth.position_m[2], *truth.current_mps)
-        self._distances.add_position("true_distance", truth.t_ns, *position)
+        self._distances.add_position("true_distance", truth.t_ns, position)
 
     def _add_estimate(self, estimate: Estimate) -> None:
-        last = self.newest.estimate
-        if last is not None and 0 <= estimate.t_ns - last.t_ns < ESTIMATES_NS:
-            return
-        self.newest.estimate = estimate
-        self.newest.profile = estimate.current or self.newest.profile
+        if estimate.current is not None:
+            self._newest[CurrentProfile] = estimate.current
         for truth in self._true.begin(estimate):
             self._show_truth(truth)
         if self._true.start_error is not None and self._true.start_ns > LATE_S * 1e9:
@@ -217,27 +230,22 @@ class Collector:
         self._heading_deg = self._unwrapped_deg(estimate.heading_rad)
         turning = self._heading_deg, math.degrees(estimate.yaw_rate_radps)
         self.tables["track"].add(self.seconds(estimate.t_ns), *position, *turning)
-        self._distances.add_position("distance", estimate.t_ns, estimate.north_m, estimate.east_m)
+        self._distances.add_position("distance", estimate.t_ns, position)
         error = self._true.error(estimate)
         if error is None and self._true.known:
             return
         covariance = self._true.covariance(estimate)
-        spread = None if covariance is None else SIGMAS * float(principal(covariance)[0][-1])
-        self.tables["errors"].add(
-            self.seconds(estimate.t_ns), *(error or (None, None)), None if spread is None else -spread, spread
-        )
-
-    def _add_plan(self, plan: Plan) -> None:
-        if plan is not self.newest.plan:
-            self.newest.plan = plan
-            self._distances.add_plan(plan)
+        sd_m = math.nan if covariance is None else float(principal(covariance)[0][-1])
+        north_m, east_m = error or (math.nan, math.nan)
+        in_sd = (north_m / sd_m, east_m / sd_m) if sd_m > MIN_SD_M else (None, None)
+        self.tables["errors"].add(self.seconds(estimate.t_ns), north_m, east_m, -SIGMAS * sd_m, SIGMAS * sd_m, *in_sd)
+        self.values |= {"sd_low": -SIGMAS, "sd_high": SIGMAS}
 
     def _add_applied(self, applied: Applied) -> None:
-        self.newest.applied = applied
         self._delays.add_applied(applied)
         self.tables["thrust"].add(self.seconds(applied.t_ns), *applied.thrust_N)
         if self.vehicle is not None:
-            self._energy.add(applied, self.vehicle, self._true.newest, self.newest.estimate)
+            self._energy.add(applied, self.vehicle, self.newest(Truth), self.newest(Estimate))
             if self._energy.joules is not None:
                 self.tables["energy"].add(self.seconds(applied.t_ns), *self._energy.joules)
 
@@ -263,9 +271,6 @@ class Collector:
             band = 2.0 * scale * math.sqrt(sum(sd * sd for _, sd in pairs) / len(pairs))
             for innovation, _ in pairs:
                 self.tables[INNOVATIONS[measured]].add(self.seconds(sample.t_ns), scale * innovation, -band, band)
-
-    def _add_fence(self, fence: FenceInForce) -> None:
-        self.newest.fence = fence
 
     def _unwrapped_deg(self, heading_rad: float) -> float:
         """Return the heading (deg) that is nearest to that of the newest estimate, so that a turn has no jump."""

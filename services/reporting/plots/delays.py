@@ -55,12 +55,7 @@ class Delays:
         self._table = table
         self._seconds = seconds
         self._stages = {name: Percentiles() for name in STAGES}
-        self._speed = 1.0
         self._received_ns = 0
-
-    def add_clock(self, clock: Clock) -> None:
-        """Add the speed of the clock, which scales a deadline to wall time."""
-        self._speed = clock.speed_num / clock.speed_den
 
     def add_applied(self, applied: Applied) -> None:
         """Add the arrival of a plan at the actuators."""
@@ -68,14 +63,15 @@ class Delays:
             self._received_ns = applied.plan_received_t_ns
             self._stages[DELIVERY].add((applied.plan_received_t_ns - applied.plan_cycle_t_ns) / 1e6)
 
-    def add_timing(self, timing: CycleTiming, plan: Plan | None) -> None:
-        """Add the times of a cycle; ``plan`` is the newest one. Lock step measures no time."""
+    def add_timing(self, timing: CycleTiming, plan: Plan | None, clock: Clock | None) -> None:
+        """Add the times of a cycle; plan and clock are the newest ones. Lock step measures no time."""
         cycle_ms = (timing.compute_wall_ns or timing.compute_ns) / 1e6
         if not cycle_ms:
             return
         deadline_ms = None
         if plan is not None and plan.cycle_t_ns == timing.t_ns:
-            deadline_ms = (int(plan.t_ns[0]) - plan.cycle_t_ns) / 1e6 / self._speed
+            wall_per_vehicle = 1.0 if clock is None else clock.speed_den / clock.speed_num
+            deadline_ms = (int(plan.t_ns[0]) - plan.cycle_t_ns) / 1e6 * wall_per_vehicle
         self._table.add(self._seconds(timing.t_ns), cycle_ms, deadline_ms or None)  # a logarithmic axis has no zero
         for name, parts in PARTS.items():
             self._stages[name].add(sum(timing.stage_us.get(part, 0.0) for part in parts) / 1e3)

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import TypeAlias
 
 from ltv_mpc.messages import Plan
 from services.reporting.plots.table import Table
+
+Position: TypeAlias = tuple[float, float, float | None]
+"""North, east and depth (m)."""
 
 MAX_WAITING = 1000
 """Positions that wait at most: bounds the memory if no plans arrive."""
@@ -22,11 +26,11 @@ class Distances:
         self._tables = tables
         self._seconds = seconds
         self._targets: list[tuple[int, float, float]] = []  # t_ns, north, east of the last two plans
-        self._waiting: list[tuple[str, int, float, float]] = []  # positions that wait for the next target
+        self._waiting: list[tuple[str, int, Position]] = []  # positions that wait for the next target
 
-    def add_position(self, table: str, t_ns: int, north_m: float, east_m: float) -> None:
-        """Queue a position until a plan with a later target gives the reference at that time."""
-        self._waiting.append((table, t_ns, north_m, east_m))
+    def add_position(self, table: str, t_ns: int, position: Position) -> None:
+        """Queue a position (m) until a plan with a later target gives the reference at that time."""
+        self._waiting.append((table, t_ns, position))
         del self._waiting[:-MAX_WAITING]
 
     def add_plan(self, plan: Plan) -> None:
@@ -40,12 +44,12 @@ class Distances:
         last = self._targets[-1] if self._targets and plan.progress is not None else (t_ns, *plan.reference_m)
         self._targets = [last, (t_ns, *plan.reference_m)]
         waiting, self._waiting = self._waiting, []
-        for table, then_ns, north, east in waiting:
+        for table, then_ns, (north_m, east_m, depth_m) in waiting:
             if then_ns > t_ns and plan.progress is not None:
-                self._waiting.append((table, then_ns, north, east))
+                self._waiting.append((table, then_ns, (north_m, east_m, depth_m)))
                 continue
-            self.newest_m[table] = self._distance_m(then_ns, north, east)
-            self._tables[table].add(self._seconds(then_ns), self.newest_m[table])
+            self.newest_m[table] = self._distance_m(then_ns, north_m, east_m)
+            self._tables[table].add(self._seconds(then_ns), self.newest_m[table], depth_m)
 
     def _distance_m(self, t_ns: int, north_m: float, east_m: float) -> float:
         """Return the distance from the reference, interpolated linearly between the targets of two plans."""

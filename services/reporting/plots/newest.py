@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 
@@ -25,54 +26,48 @@ def outline(covariance: Array, sigmas: float) -> Array:
     return points.T
 
 
-class NewestState:
-    """Newest estimate, plan, delivered thrusts and fence, and the newest profile of the current."""
+def tables(
+    newest: Mapping[type, Any],
+    vehicle: Vehicle | None,
+    covariance: Array | None,
+    seconds: Callable[[int], float],
+    heading_deg: Callable[[float], float],
+) -> dict[str, Columns]:
+    """Return the tables; empty ones for what is not known yet.
 
-    def __init__(self) -> None:
-        self.estimate: Estimate | None = None
-        self.plan: Plan | None = None
-        self.applied: Applied | None = None
-        self.profile: CurrentProfile | None = None
-        self.fence: FenceInForce | None = None
+    Parameters
+    ----------
+    newest : newest message of each type, and the newest profile of the current.
+    vehicle : hull and thrust limits.
+    covariance : (2, 2) of the plotted position (m^2).
+    seconds : converts a vehicle time (ns) to the time axis.
+    heading_deg : converts a heading (rad) to the heading axis.
+    """
+    estimate, plan, profile = newest.get(Estimate), newest.get(Plan), newest.get(CurrentProfile)
+    ellipse = points()
+    if estimate is not None and covariance is not None:
+        ellipse = points(np.add(outline(covariance, SIGMAS), [estimate.north_m, estimate.east_m]))
+    return {
+        **_of_plan(plan, seconds, heading_deg),
+        **vehicle_from_above.tables(estimate, newest.get(Applied), vehicle, profile),
+        **fence.tables(newest.get(FenceInForce), plan),
+        "ellipse": ellipse,
+        "profile": profile_table(profile),
+    }
 
-    def tables(
-        self,
-        vehicle: Vehicle | None,
-        covariance: Array | None,
-        seconds: Callable[[int], float],
-        heading_deg: Callable[[float], float],
-    ) -> dict[str, Columns]:
-        """Return the tables; empty ones for what is not known yet.
 
-        Parameters
-        ----------
-        vehicle : hull and thrust limits.
-        covariance : (2, 2) of the plotted position (m^2).
-        seconds : converts a vehicle time (ns) to the time axis.
-        heading_deg : converts a heading (rad) to the heading axis.
-        """
-        ellipse = points()
-        if self.estimate is not None and covariance is not None:
-            ellipse = points(np.add(outline(covariance, SIGMAS), [self.estimate.north_m, self.estimate.east_m]))
-        return {
-            **self._of_plan(seconds, heading_deg),
-            **vehicle_from_above.tables(self.estimate, self.applied, vehicle, self.profile),
-            **fence.tables(self.fence, self.plan),
-            "ellipse": ellipse,
-            "profile": profile_table(self.profile),
-        }
-
-    def _of_plan(self, seconds: Callable[[int], float], heading_deg: Callable[[float], float]) -> dict[str, Columns]:
-        plan = self.plan
-        if plan is None:
-            return {"horizon": {}, "ahead": {}, "target": {}}
-        ahead: Columns = {"t_s": shorts(map(seconds, plan.t_ns.tolist()))}
-        for name, thrust_N in zip(("port_N", "starboard_N", "vertical_N"), plan.thrust_N.T, strict=True):
-            ahead[name] = shorts(thrust_N)
-        ahead["heading_deg"] = shorts(map(heading_deg, plan.states[:, 4].tolist()))
-        ahead["yaw_rate_dps"] = shorts(np.degrees(plan.states[:, 5]))
-        target = points() if plan.reference_m is None else points(np.array([plan.reference_m]))
-        return {"horizon": points(plan.states[:, :2]), "ahead": ahead, "target": target}
+def _of_plan(
+    plan: Plan | None, seconds: Callable[[int], float], heading_deg: Callable[[float], float]
+) -> dict[str, Columns]:
+    if plan is None:
+        return {"horizon": {}, "ahead": {}, "target": {}}
+    ahead: Columns = {"t_s": shorts(map(seconds, plan.t_ns.tolist()))}
+    for name, thrust_N in zip(("port_N", "starboard_N", "vertical_N"), plan.thrust_N.T, strict=True):
+        ahead[name] = shorts(thrust_N)
+    ahead["heading_deg"] = shorts(map(heading_deg, plan.states[:, 4].tolist()))
+    ahead["yaw_rate_dps"] = shorts(np.degrees(plan.states[:, 5]))
+    target = points() if plan.reference_m is None else points(np.array([plan.reference_m]))
+    return {"horizon": points(plan.states[:, :2]), "ahead": ahead, "target": target}
 
 
 def profile_table(profile: CurrentProfile | WaterPrior | None) -> Columns:

@@ -32,11 +32,6 @@ class TrueTrack:
         """True if a true state was received, as in a simulation."""
         return bool(self._truths)
 
-    @property
-    def newest(self) -> Truth | None:
-        """Newest true state; None if there is none."""
-        return self._truths[-1] if self._truths else None
-
     def add(self, truth: Truth) -> bool:
         """Add a true state and return True, or ignore it if the last one is less than ``PERIOD_NS`` old."""
         if self._truths and 0 <= truth.t_ns - self._truths[-1].t_ns < PERIOD_NS:

@@ -14,6 +14,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from functools import partial
 from multiprocessing.connection import Connection
 from typing import Any, TypeVar
 
@@ -172,13 +173,8 @@ class _Cluster:
         workers = self._client.scheduler_info(n_workers=-1)["workers"].values()
         self.losses = KilledWorker, CancelledError
         self.places = AHEAD * sum(info["nthreads"] for info in workers)
-        self._work = work
         # Not pure: the same settings are not taken for the same result by the scheduler's memory.
-        self._executor = self._client.get_executor(pure=False)
-
-    def submit(self, job: Any) -> Future[Any]:
-        future: Future[Any] = self._executor.submit(self._work, job)
-        return future
+        self.submit: Callable[[Any], Future[Any]] = partial(self._client.get_executor(pure=False).submit, work)
 
     def close(self) -> None:
         """Cancel what has not ended."""

@@ -185,9 +185,7 @@ def dive_end(ensembles: Sequence[Ensemble], first: int, longest_gap_s: float) ->
 
 
 def write(outcome: Outcome, folder: Path) -> None:
-    """Write localise.json, track.csv, currents.csv and localise.html; raises ``NoPlotly`` instead of the last."""
-    plain = msgspec.json.format(msgspec.json.encode(outcome.result), indent=2)
-    (folder / "localise.json").write_bytes(plain + b"\n")
+    """Write track.csv, currents.csv and localise.html; raises ``NoPlotly`` instead of the last."""
     (folder / "track.csv").write_text(_table(outcome), encoding="utf-8")
     write_profile(folder / "currents.csv", outcome.track.water)
     from services.tools.localise import plot

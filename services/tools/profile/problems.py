@@ -13,30 +13,26 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
 from typing import NamedTuple
 
 import msgspec
 import numpy as np
 
-from ltv_mpc import references
-from ltv_mpc.control.config import STAGE_NS, ControllerConfig, ResolvedConfig
+from ltv_mpc.control.config import STAGE_NS, ResolvedConfig
 from ltv_mpc.control.node import ControllerNode
-from ltv_mpc.control.resolution import settled
+from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Estimate, Message
 from ltv_mpc.node import Inbox, Node
 from ltv_mpc.references import Point, Reference
 from ltv_mpc.vehicle.parameters import Vehicle
-from services.recording.reader import Recording
-from services.recording.recover import segments
-from services.replay.node_replay import NodeReplay, feed
+from services.replay import node_replay
+from services.replay.node_replay import NodeReplay
+from services.replay.nodes import Run
 from services.replay.what_if import WhatIf
 from services.run import folder
-from services.run.folder import RunFolder
 from services.run.nodes import make_nodes
 from services.run.run_config import Override, resolve
 from services.tools import lockstep_run
-from sim.scheduler import LockStep
 from sim.sensors.node import Sensors
 
 DESCENT, UNKNOWN, HARD = "descent", "unknown current", "hard"
@@ -94,8 +90,8 @@ def simulated(stages: int, cycles: int, seed: int) -> list[Episode]:
 def recorded(run: str, stages: int, cycles: int) -> list[Episode]:
     """Return the first ``cycles`` cycles of a recorded run as one episode, at a horizon of ``stages``.
 
-    The vehicle, the reference and the controller are those of the run's ``config/``, but the controller has this
-    horizon, or with ``DEFAULT`` its own, and solves one QP a cycle. Raises ``ConfigError``.
+    The vehicle, the reference and the controller are the run's own, but the controller has this horizon, or with
+    ``DEFAULT`` its own, and solves one QP a cycle. Raises ``ConfigError``.
 
     Parameters
     ----------
@@ -103,21 +99,22 @@ def recorded(run: str, stages: int, cycles: int) -> list[Episode]:
     stages : horizon of the controller.
     cycles : number of cycles to measure.
     """
-    run_folder = RunFolder(folder.find(run).parent)
-    vehicle = Vehicle.load(str(run_folder.config("vehicle")))
-    config = msgspec.structs.replace(ControllerConfig.load(str(run_folder.config("controller"))), sqp_iterations=1)
+    replayed = Run(folder.find(run))
+    if ControllerNode.name not in replayed.names:
+        raise ConfigError("option --run", "", "has no controller: name another run", value=run)
+    node = replayed.make(ControllerNode.name)
+    assert isinstance(node, ControllerNode)
+    own = node.controller
+    config = msgspec.structs.replace(own.config, sqp_iterations=1)
     if stages != DEFAULT:
         config = msgspec.structs.replace(config, horizon_s=seconds(stages), max_stages=max(stages, 2))
-    return [
-        Episode(
-            kind=run_folder.path.resolve().name,
-            vehicle=vehicle,
-            reference=references.load(str(run_folder.config("reference"))),
-            config=settled(config, vehicle),
-            cycles=cycles,
-            feed=lambda node, _: _replay(run_folder.recording, node),
-        )
-    ]
+
+    def feed(node: Node, _: Callable[[], bool]) -> None:
+        replay = NodeReplay(node.name, lambda _: node, lambda _: WhatIf(node.name))
+        node_replay.feed(replayed.recording(), [replay])
+
+    name = replayed.path.resolve().parent.name
+    return [Episode(name, own.vehicle, own.follower.reference, config, cycles, feed)]
 
 
 def seconds(stages: int) -> float:
@@ -130,9 +127,6 @@ def length_s(config: ResolvedConfig) -> float:
     return float(config.knots[-1]) * seconds(1)
 
 
-# --- simulated -------------------------------------------------------------------------------------------------------
-
-
 def _episode_lengths(total: int, longest: int) -> Iterator[int]:
     """Generate numbers of cycles, each at most ``longest``, that add up to ``total``."""
     while total > 0:
@@ -141,7 +135,7 @@ def _episode_lengths(total: int, longest: int) -> Iterator[int]:
 
 
 def _episode(kind: str, stages: int, cycles: int, seed: int) -> Episode:
-    settings = ["run.perfect_state=true", "controller.sqp_iterations=1", f"run.seed={seed}"]
+    settings = ["run.perfect_state=true", "run.compute_delay_s=0", "controller.sqp_iterations=1", f"run.seed={seed}"]
     if stages != DEFAULT:
         settings += [f"controller.horizon_s={seconds(stages)!r}", f"controller.max_stages={max(stages, 2)}"]
     if kind == UNKNOWN:
@@ -158,11 +152,7 @@ def _episode(kind: str, stages: int, cycles: int, seed: int) -> Episode:
         others = [other for other in make_nodes(run_config) if not isinstance(other, ControllerNode)]
         if kind == UNKNOWN:
             others = [_WithoutCurrent(other) if isinstance(other, Sensors) else other for other in others]
-        t_ns = run_config.scenario.start_ns
-        lockstep = LockStep([*others, node], start_ns=t_ns, latest=lockstep_run.LATEST)
-        while not is_done():
-            lockstep.advance(t_ns)
-            t_ns += run_config.scenario.controller.period_ns
+        lockstep_run.simulate(run_config, nodes=[*others, node], stop=is_done)
 
     return Episode(kind, run_config.vehicle, run_config.reference, run_config.controller, cycles, simulate)
 
@@ -180,11 +170,3 @@ class _WithoutCurrent:
             msgspec.structs.replace(message, current=None) if isinstance(message, Estimate) else message
             for message in self._step(t_ns, inbox)
         ]
-
-
-# --- recorded --------------------------------------------------------------------------------------------------------
-
-
-def _replay(recording: Path, node: Node) -> None:
-    """Step ``node`` with the times and inboxes that the recorded node of its name had, as far as none is missing."""
-    feed(Recording(*segments(recording)), [NodeReplay(node.name, lambda _: node, lambda _: WhatIf(node.name))])

@@ -173,7 +173,7 @@ def is_reached(feed: BusFeed, publisher: Publisher) -> bool:
 
 def is_at(feed: BusFeed, t_ns: int) -> bool:
     feed.update()
-    estimate = feed.collector.newest.estimate
+    estimate = feed.collector.newest(Estimate)
     return estimate is not None and estimate.t_ns >= t_ns
 
 

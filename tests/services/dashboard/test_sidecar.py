@@ -80,7 +80,7 @@ def test_the_run_waits_for_a_page_from_opened_to_drawn_and_then_until_it_has_the
 
 
 def test_without_the_extra_the_run_reports_it_and_continues(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("services.dashboard.sidecar.NEEDS", ("starlette", "no_such_package"))
+    monkeypatch.setattr("services.dashboard.config.NEEDS", ("starlette", "no_such_package"))
     page, lines = page_of(tmp_path)
     page.start(BusOptions(connect=("tcp/127.0.0.1:1",)))
     page.stop()

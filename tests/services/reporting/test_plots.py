@@ -63,6 +63,9 @@ def test_errors_and_the_true_track_are_drifts_since_the_start_and_so_is_their_sp
     np.testing.assert_allclose(north, 0.0, atol=1e-4)
     np.testing.assert_allclose(east, DRIFT_EAST_MPS * t, atol=1e-4)
     np.testing.assert_allclose(spread, 2 * np.sqrt(GROWTH_M2_PER_S * t), atol=1e-4)
+    in_sd = columns(collector, "errors", "north_sd", "east_sd")
+    assert np.isnan(in_sd[0]).all()
+    np.testing.assert_allclose(in_sd[1:, 1], east[1:] / np.sqrt(GROWTH_M2_PER_S * t[1:]), atol=2e-3)
     true = columns(collector, "truth", "t_s", "north_m", "east_m")
     assert tuple(true[0]) == (0.0, *OFFSET)
     assert true[-1, 1] == pytest.approx(OFFSET[0] + 2.0)
@@ -85,9 +88,10 @@ def test_of_a_reference_in_places_nothing_is_shifted_and_the_ellipse_is_that_of_
 
 def test_distances_are_those_to_the_target(collector: Collector) -> None:
     for table, drift in (("distance", DRIFT_EAST_MPS), ("true_distance", 0.0)):
-        t, distance = columns(collector, table, "t_s", "distance_m").T
+        t, distance, depth = columns(collector, table, "t_s", "distance_m", "depth_m").T
         expected = np.hypot(OFFSET[0] + 0.1 * t - TARGET[0], OFFSET[1] + drift * t - TARGET[1])
         np.testing.assert_allclose(distance, expected, atol=1e-3)
+        np.testing.assert_allclose(depth, np.maximum(0.2 * t, 0.0), atol=1e-3)
 
 
 def test_a_target_that_moves_is_where_it_is_at_the_estimate_s_time() -> None:
@@ -238,26 +242,17 @@ def test_the_review_of_a_run_is_that_of_its_tables() -> None:
     """A thrust of 10 N at 0.5 Hz has its peak there, and a density whose integral is its variance of 50 N^2."""
     t = np.arange(0.0, 200.0, 0.2)
     wave = 10.0 * np.sin(2.0 * np.pi * 0.5 * t)
-    nothing = {"t_s": [], "depth_m": [], "distance_m": []}
     history: dict[str, Columns] = {
         "thrust": {"t_s": t.tolist(), "port_N": wave.tolist(), "starboard_N": np.full(len(t), 5.0).tolist()},
-        "true_distance": {"t_s": [1.0, 2.0], "distance_m": [0.1, 0.2]},
-        "truth": {"t_s": [0.0, 2.0], "depth_m": [0.0, 4.0]},
-        "distance": nothing,
-        "track": nothing,
         "profile": {"depth_m": [0.5, 2.5, 9.5]}
         | {name: [0.1, 0.2, 0.3] for name in ("north_mps", "east_mps")}
         | {name: [0.0, 0.15, 0.2] for name in ("north_low_mps", "east_low_mps")},
         "true_current": {"depth_m": [4.0, 0.0], "north_mps": [0.4, 0.0], "east_mps": [0.2, 0.2]},
-        "errors": {"t_s": [0.0, 1.0], "north_m": [0.0, 0.3], "east_m": [0.0, -0.1], "plus_2_sigma_m": [0.0, 0.2]},
     }
     tables = analysis.tables(history)
-    assert tables["vehicle_over_depth"] == {"depth_m": [2.0, 4.0], "distance_m": [0.1, 0.2]}
     error = tables["current_error"]  # at the two depths where the vehicle has been
     assert (error["depth_m"], error["north_mps"], error["east_mps"]) == ([0.5, 2.5], [0.05, -0.05], [-0.1, 0.0])
     assert error["north_low_mps"] == [-0.1, -0.05]
-    assert tables["residuals"]["north"] == [None, 3.0]
-    assert tables["residuals"]["east"] == [None, -1.0]
     assert sum(tables["histogram"]["port_percent"]) == pytest.approx(100.0, abs=0.01)
     spectrum = tables["spectrum"]
     frequency, power = (np.array(spectrum[name], dtype=float) for name in ("frequency_Hz", "port_N2pHz"))

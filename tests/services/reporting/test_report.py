@@ -122,7 +122,7 @@ def test_what_is_no_run_or_already_there_is_refused(runs, tmp_path, capsys) -> N
 
 def test_without_plotly_a_run_says_in_one_line_that_it_wrote_none(tmp_path, monkeypatch, capsys) -> None:
     monkeypatch.setattr(static_files, "find_spec", lambda _: None)
-    static_files.plotly.cache_clear()
+    static_files.report_scripts.cache_clear()
     out = tmp_path / "run"
     assert app.run(["sim", "--lockstep", "--duration-s", "0.5", "--surface-time-s", "1", "--out", str(out)]) == 0
     said = [line for line in capsys.readouterr().err.splitlines() if "report.html" in line]

@@ -74,12 +74,12 @@ class Result(msgspec.Struct):
 def test_the_summary_is_json_with_nulls_the_water_a_prior_and_neither_leaves_a_draft() -> None:
     made = folder.make("descent", {}, out=Path("here"))
     made.write_result(Result(3), None)
-    assert json.loads(made.summary.read_text()) == {"cycles": 3, "max_abs_N": None}
+    assert json.loads((made.path / "summary.json").read_text()) == {"cycles": 3, "max_abs_N": None}
     assert [p.name for p in Path("here").iterdir()] == ["summary.json"]
     one = np.ones(1)
     water = WaterPrior(depth_m=one, north_mps=one, east_mps=-one, sd_mps=one / 3, sd_common_mps=0.1)
     made.write_result(Result(3), water)
-    assert read_prior(made.currents).sd_mps[0] == 1 / 3
+    assert read_prior(made.path / "currents.csv").sd_mps[0] == 1 / 3
     assert sorted(p.name for p in Path("here").iterdir()) == ["currents.csv", "summary.json"]
 
 

@@ -117,7 +117,7 @@ def test_a_run_saves_its_last_profile_and_its_recording_yields_the_same(tmp_path
     here = run_config("run.duration_s=2", "run.seed=4")
     place = folder.make("descent", here.files, out=tmp_path / "run")
     lockstep_run.run(here, place)
-    saved = read_prior(place.currents)
+    saved = read_prior(place.path / "currents.csv")
     end = [message for message in Recording(place.recording) if message.kind is Estimate][-1].typed()[0]
     assert isinstance(end, Estimate)
     assert end.current is not None

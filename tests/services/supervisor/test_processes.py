@@ -174,7 +174,7 @@ def test_a_run_of_processes_records_every_message_and_leaves_no_process(whole: W
     assert (keys["world/truth"].messages, steps["plant"]) == (901, 181)
     assert keys["plan"].messages == keys["timing"].messages
     assert outcome.summary is not None
-    assert run.summary.exists()
+    assert (run.path / "summary.json").exists()
     assert outcome.summary.messages.dropped == outcome.summary.messages.rejected == 0
     assert outcome.summary.compute_delay_s.median is not None
     assert outcome.summary.compute_delay_s.median > 0.05  # added in vehicle time
@@ -283,7 +283,7 @@ def test_a_run_whose_recording_found_no_room_is_not_complete(without_room: Watch
 
 def test_the_estimator_starts_from_the_prior_and_the_run_saves_its_profile(whole: WatchedRun) -> None:
     """A current deeper than the profiler's range, which only the file can have provided."""
-    learned = read_prior(whole.place.currents)
+    learned = read_prior(whole.place.path / "currents.csv")
     (at,) = (learned.depth_m == 50.0).nonzero()[0]
     assert learned.north_mps[at] == pytest.approx(0.5, abs=0.03)
     assert learned.east_mps[at] == pytest.approx(-0.25, abs=0.03)

@@ -19,7 +19,7 @@ from services.supervisor import jit_cache
 from services.tools import doctor
 from services.tools.doctor import Found, Level
 
-CORE = [("numpy", ">=2.0", ""), ("rosbags", ">=0.10", "ros2"), ("ruff", ">=0.14", "dev")]
+CORE = [("numpy", ">=2.0")]
 NOT_OURS = lambda name: doctor.ROOT if name != "sim" else Path("/elsewhere")  # noqa: E731
 
 

@@ -83,7 +83,7 @@ def test_a_step_is_on_record_before_its_outputs(recorded: tuple[RunConfig, RunFo
 
 def test_the_summary_on_disk_is_the_one_returned_and_says_what_was_asked_for(recorded) -> None:
     _, place, summary = recorded
-    assert msgspec.json.decode(place.summary.read_bytes(), type=Summary) == summary
+    assert msgspec.json.decode((place.path / "summary.json").read_bytes(), type=Summary) == summary
     assert (summary.scenario, summary.mode, summary.seed, summary.speed) == ("descent", "lockstep", 3, None)
     assert (summary.duration_s, summary.stages, summary.horizon_s) == (6.0, 34, 13.8)
     assert summary.compute_delay_s.median == summary.compute_delay_s.max == 0.71

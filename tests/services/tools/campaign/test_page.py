@@ -74,7 +74,7 @@ def test_the_page_has_a_panel_for_each_field_with_the_means_and_shows_what_faile
     assert "&lt;b&gt;made up" in text
     assert "<b>made up" not in text
     assert "1 failed: no &lt;such&gt; thing (point 1, seed 2)" in text
-    own = text.replace(static_files.plotly(), "")
+    own = text.replace(static_files.report_scripts()[0], "")
     assert not re.search(r'(src|href)="(http|//)', own)
     data = json.loads(re.search(r'id="data">(.*?)</script>', text, re.S)[1])
     horizon, sensors = data["plots"]

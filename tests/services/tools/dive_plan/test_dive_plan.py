@@ -148,7 +148,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
 
 def test_the_drift_of_a_recorded_run_is_its_localisation_error(recorded: RunFolder) -> None:
     found = report.recorded_drift(Recording(recorded.recording))
-    final = json.loads(recorded.summary.read_text())["localisation_error_m"]["final"]
+    final = json.loads((recorded.path / "summary.json").read_text())["localisation_error_m"]["final"]
     assert (found.kind, found.t_s) == ("true", [1.0, 2.0, 3.0, 4.0])
     assert found.drift_m[-1] == pytest.approx(final / math.sqrt(2.0), rel=1e-6)
 
