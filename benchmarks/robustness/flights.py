@@ -61,10 +61,10 @@ def flown(job: Job, task: Task, of: Conditions) -> Flight:
     return fly(job.row.vehicle, law, of, start, duration_s=task.duration_s)
 
 
-def judged(job: Job) -> Figures:
-    """Return the figures of a flight, without its first seconds."""
-    hull, task = load(job.row.vehicle)[0], task_of(job.row.vehicle, job.row.task)
-    of = conditions(job.row.case, hull)
+def judged(job: Job, share: float = 1.0) -> Figures:
+    """Return the figures of a flight, without its first seconds; ``share``: of the task's duration that is flown."""
+    hull, whole = load(job.row.vehicle)[0], task_of(job.row.vehicle, job.row.task)
+    of, task = conditions(job.row.case, hull), whole._replace(duration_s=share * whole.duration_s)
     flight = flown(job, task, of)
     settled = flight.t_s >= SETTLING_S
     needed_N, arrays = flight.needed_N, (array[settled] for array in flight[:-1])

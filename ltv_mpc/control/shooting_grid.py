@@ -34,10 +34,11 @@ def knots(stages: int, horizon: float) -> Array:
     far = np.arange(1.0, stages - near + 1)
     lengths = np.ones(stages)
     if horizon > stages:
-        missing = horizon - near
-        from scipy.optimize import brentq  # a fifth of the start of a process
-
-        q = brentq(lambda q: np.sum(q**far) - missing, 1.0, missing)
+        missing, step = horizon - near, 1.0
+        q = missing ** (1.0 / far[-1])  # too large, so that the steps of Newton's method come down to the root
+        while step > 1e-14 * q:
+            step = (np.sum(q**far) - missing) / np.sum(far * q ** (far - 1.0))
+            q -= step
         lengths[near:] = q**far
     return np.concatenate([[0.0], np.cumsum(lengths)])
 

@@ -139,6 +139,7 @@ assert len(used) == (8 if sys.argv[1] == "full" else 5), used
 END = """
 after = compiled()
 assert sum(before.values()) > 5
+assert "scipy.optimize" not in sys.modules  # a fifth of the start of a process
 assert before == after, {key: (before.get(key), count) for key, count in after.items() if before.get(key) != count}
 """
 
