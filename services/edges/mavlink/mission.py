@@ -107,6 +107,8 @@ class MissionFollower:
             for of, download in self._downloads.items():
                 if (download.count if kind == "MISSION_COUNT" else download.item)(message, now_us):
                     self._changed.add(of)
+                    if self._origin is None and download.items:
+                        self.texts.append((WARNING, f"{of.name.lower()} waits: no GPS_GLOBAL_ORIGIN yet"))
         if self._origin is not None:
             self._convert(self._origin, first)
         return ()

@@ -18,7 +18,7 @@ from ltv_mpc.messages import Acknowledgement, Action, Authority, Command
 from ltv_mpc.references.mission_items import DRIVEN
 from services.edges.edge import Outgoing, Received
 from services.edges.mavlink.lists import Mission, mission_of
-from services.edges.mavlink.mission import MissionFollower, Progress
+from services.edges.mavlink.mission import WARNING, MissionFollower, Progress
 from tests.foreign_plant.mavlink_flight import MavlinkFlight
 from tests.services.edges.mavlink.items import ORIGIN, codec, item
 from tests.services.edges.plans import plan
@@ -247,21 +247,25 @@ def test_a_plan_that_is_older_than_the_reply_says_nothing_of_the_mission() -> No
     assert progress.follow(later) == []
 
 
-def test_a_late_reply_to_the_mission_before_is_none_to_the_new_one() -> None:
-    numbers, make = iter(range(1, 9)), codec().make
+def sent(follower: MissionFollower, north_m: float, now_us: int) -> None:
+    """Let the autopilot send a mission of one place, twice."""
+    for at_us in (now_us, now_us + 2_000_000):
+        follower.take("MISSION_COUNT", codec().make.mission_count_encode(255, 191, 2), at_us, by_station=True)
+        for one in (HOME, item(1, 16, north_m=north_m)):
+            follower.take("MISSION_ITEM_INT", one, at_us, by_station=True)
+
+
+def test_a_mission_waits_for_its_origin_and_says_so_and_a_late_reply_to_it_is_none_to_the_next_one() -> None:
+    numbers = iter(range(1, 9))
     follower = MissionFollower(0.5, lambda: next(numbers), dives=False)
     follower.here = HERE
-    follower.take("GPS_GLOBAL_ORIGIN", make.gps_global_origin_encode(502000000, -51000000, 0), 0, by_station=True)
-
-    def send(north_m: float, now_us: int) -> None:
-        for at_us in (now_us, now_us + 2_000_000):
-            follower.take("MISSION_COUNT", make.mission_count_encode(255, 191, 2), at_us, by_station=True)
-            for one in (HOME, item(1, 16, north_m=north_m)):
-                follower.take("MISSION_ITEM_INT", one, at_us, by_station=True)
-
-    send(10.0, 0)
+    sent(follower, 10.0, 0)
+    assert list(follower.texts) == [(WARNING, "mission waits: no GPS_GLOBAL_ORIGIN yet")]
+    assert follower.commands() == ()
+    origin = codec().make.gps_global_origin_encode(502000000, -51000000, 0)
+    follower.take("GPS_GLOBAL_ORIGIN", origin, 3_000_000, by_station=True)
     (first,) = follower.commands()
-    send(20.0, 10_000_000)
+    sent(follower, 20.0, 10_000_000)
     reply = Acknowledgement(t_ns=0, command_id=1, accepted=True, authority=Authority.CONTROLLER, why="")
     assert follower.acknowledged(reply) is None
     (second,) = follower.commands()
