@@ -9,7 +9,6 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
-import numpy as np
 from rich.console import Console, Group
 from rich.live import Live
 from rich.markup import escape
@@ -20,6 +19,7 @@ from rich.text import Text
 from ltv_mpc.errors import one_line
 from ltv_mpc.messages import ControllerStatus, SensorStatus
 from services.reporting.plots.collector import Collector
+from services.reporting.plots.vehicle_from_above import current_at
 from services.runtime.console import WIDTH, drawn, figure, fold
 from services.supervisor.screen import LiveView, in_order
 
@@ -200,8 +200,7 @@ def _motion(view: LiveView, collector: Collector) -> list[str]:
     speed_mps = math.hypot(estimate.velocity_north_mps, estimate.velocity_east_mps)
     words = f"{depth}heading {round(math.degrees(estimate.heading_rad)) % 360} deg   speed {speed_mps:.3f} m/s"
     if (current := estimate.current) is not None:
-        at = (estimate.depth_m or 0.0, current.depth_m)
-        current_mps = math.hypot(np.interp(*at, current.north_mps), np.interp(*at, current.east_mps))
+        current_mps = math.hypot(*current_at(current, estimate.depth_m or 0.0))
         words += f"   current {current_mps:.3f} m/s"
     error = f"estimate from the reference {figure(collector.error_m, 'm', digits='.3f', none='- m')}"
     if view.truth is not None:

@@ -13,8 +13,8 @@ import numpy as np
 from ltv_mpc.geofence.obstacles import OBSTACLE_MARGIN, predicted_m, required_m
 from ltv_mpc.messages import Array, FenceInForce, Plan, ZoneInForce
 from services.reporting.plots.table import Columns, points
+from services.reporting.plots.truth import outline
 
-CIRCLE = 48  # points
 NAMES = ("zones", "kept_free", "bounding", "obstacles", "obstacles_kept_free", "obstacle_paths")
 
 
@@ -68,6 +68,4 @@ def kept_free(zone: ZoneInForce, distance_m: float) -> list[Array]:
 
 
 def _circle(centre: Array, radius_m: float) -> Array:
-    angle = np.linspace(0.0, 2.0 * np.pi, CIRCLE + 1)
-    circle: Array = centre + radius_m * np.column_stack([np.cos(angle), np.sin(angle)])
-    return circle
+    return np.add(centre, outline(np.eye(2), radius_m))

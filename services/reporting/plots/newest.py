@@ -12,18 +12,9 @@ from ltv_mpc.messages import Applied, Array, CurrentProfile, Estimate, FenceInFo
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.reporting.plots import fence, vehicle_from_above
 from services.reporting.plots.table import Columns, points, shorts
-from services.reporting.plots.truth import principal
+from services.reporting.plots.truth import outline
 
-ELLIPSE = 48  # points
 SIGMAS = 2.0
-
-
-def outline(covariance: Array, sigmas: float) -> Array:
-    """Return the ellipse (K, 2) of so many standard deviations round the mean of a distribution in the plane."""
-    sigma, axes = principal(covariance)
-    angle = np.linspace(0.0, 2.0 * np.pi, ELLIPSE + 1)
-    points: Array = sigmas * axes @ (sigma[:, None] * np.array([np.cos(angle), np.sin(angle)]))
-    return points.T
 
 
 def tables(

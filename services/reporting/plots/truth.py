@@ -14,6 +14,7 @@ import numpy as np
 from ltv_mpc.messages import Array, Estimate, Pair, Truth
 
 PERIOD_NS = 100_000_000
+ELLIPSE = 48  # points
 MAX_TRUTHS = 600  # truths that wait for their estimate: one minute at 10 Hz
 
 
@@ -93,3 +94,11 @@ def principal(covariance: Array) -> tuple[Array, Array]:
     """Return standard deviations (2,) along the principal axes, clipped at 0, and the axes as columns (2, 2)."""
     values, axes = np.linalg.eigh(covariance)
     return np.sqrt(values.clip(0.0)), axes
+
+
+def outline(covariance: Array, sigmas: float) -> Array:
+    """Return the ellipse (K, 2) of so many standard deviations round the mean of a distribution in the plane."""
+    sigma, axes = principal(covariance)
+    angle = np.linspace(0.0, 2.0 * np.pi, ELLIPSE + 1)
+    points: Array = sigmas * axes @ (sigma[:, None] * np.array([np.cos(angle), np.sin(angle)]))
+    return points.T

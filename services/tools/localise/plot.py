@@ -13,8 +13,9 @@ from services.reporting import report
 from services.reporting.plots import palette
 from services.reporting.plots.catalogue import CURRENT
 from services.reporting.plots.description import Axis, Plot, Series, Style
-from services.reporting.plots.newest import outline, profile_table
+from services.reporting.plots.newest import profile_table
 from services.reporting.plots.table import Columns, shorts
+from services.reporting.plots.truth import outline
 
 if TYPE_CHECKING:
     from services.tools.localise.dive_localisation import Outcome
