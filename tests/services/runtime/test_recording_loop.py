@@ -21,6 +21,7 @@ from services.bus.outbox import Outbox
 from services.bus.session import open_session
 from services.bus.topics import BY_TYPE
 from services.bus.wire import Header, to_map
+from services.recording import segments
 from services.recording.reader import Recording, StoredMessage
 from services.recording.segments import SegmentWriter
 from services.recording.writer import RunWriter
@@ -46,7 +47,7 @@ class Listening(SegmentWriter):
     AFTER = "after"
 
     def __init__(self, path: Path, start_ns: int = -S) -> None:
-        super().__init__(path, start_ns=start_ns, metadata={}, retry_s=0.0)
+        super().__init__(path, start_ns=start_ns, metadata={})
         self.heard = threading.Event()
 
     def write_plain(self, key: str, kind: type[Message], message: Mapping[str, Any], t_ns: int, crc: int) -> None:
@@ -139,6 +140,7 @@ def test_messages_lost_by_a_full_disk_are_counted_and_reported(tmp_path, free_po
         return original(writer, key, kind, message, *rest)
 
     monkeypatch.setattr(RunWriter, "write_plain", write_plain)
+    monkeypatch.setattr(segments, "RETRY_S", 0.0)
 
     def say(_: Outbox, put: Callable[[bytes], None]) -> None:
         for sequence in range(8):
