@@ -31,7 +31,7 @@ from ltv_mpc.control.problem_data import CHANGES, COMMANDS
 from ltv_mpc.control.scaling import thrust_scale
 from ltv_mpc.control.solvers import Solver, SolverFactory, make
 from ltv_mpc.control.solvers.recorder import RecordingSolver
-from ltv_mpc.messages import Array, Estimate, Plan, SolveStatus
+from ltv_mpc.messages import Array, Estimate, Plan, Solve, SolveStatus
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.runtime.stage_timer import StageTimer
 from services.tools.profile.piqp_yardstick import PiqpYardstick
@@ -137,24 +137,30 @@ class _Bench(ControllerNode):
         driver = self.controller
         if self.is_done():
             return driver.plan(estimate, t_ns=t_ns)
-        plans = [
-            (controller, controller.plan(driver, estimate, t_ns))
-            for controller in self._order.sample(self._controllers, len(self._controllers))
-        ]
-        for controller, _ in plans:
+        order = self._order.sample(self._controllers, len(self._controllers))
+        laps = [[controller.timed(driver, estimate, t_ns) for _ in ("interleaved", "repeated")] for controller in order]
+        for controller, own in zip(order, laps, strict=True):
             self._other_memory += 1.0
-            _, controller.flushed_us = controller.timed(driver, estimate, t_ns)
+            own.append(controller.timed(driver, estimate, t_ns))
         plan = driver.plan(estimate, t_ns=t_ns)
         if plan.solve.status is not SolveStatus.NOT_RUN:
             if self._begun:  # the first cycle starts from a crude guess
-                exact = PiqpYardstick(EXACT).solve(plans[0][0].recorded.problem, 0.0).z  # the same problem for all
-                for controller, measured_plan in plans:
-                    controller.keep(measured_plan, exact)
+                exact = PiqpYardstick(EXACT).solve(order[0].recorded.problem, 0.0).z  # the same problem for all
+                for controller, own in zip(order, laps, strict=True):
+                    controller.keep(own, exact)
                 self._left -= 1
                 self._progress()
             self._begun = True
         gc.collect(1)
         return plan
+
+
+class Lap(NamedTuple):
+    """One cycle: its solve, its time, and that of its stages."""
+
+    solve: Solve
+    us: float
+    stage_us: dict[str, float]
 
 
 class _MeasuredController:
@@ -168,40 +174,31 @@ class _MeasuredController:
         self.controller = Controller(*parts, make_solver=self._make_recorded, stopwatch=self.timer)
         self._into = into
         self._largest_N = thrust_scale(episode.vehicle)
-        self._cycle_us = self._repeated_us = self.flushed_us = 0.0
-        self._stage_us: dict[str, float] = {}
 
     def _make_recorded(self, vehicle: Vehicle, config: ControllerConfig) -> Solver:
         self.recorded = RecordingSolver(self._make_solver(vehicle, config))
         return self.recorded
 
-    def plan(self, driver: Controller, estimate: Estimate, t_ns: int) -> Plan:
-        """Measure one cycle, interleaved and then repeated."""
-        plan, self._cycle_us = self.timed(driver, estimate, t_ns)
-        self._stage_us = dict(self.timer.stage_us)
-        _, self._repeated_us = self.timed(driver, estimate, t_ns)
-        return plan
-
-    def timed(self, driver: Controller, estimate: Estimate, t_ns: int) -> tuple[Plan, float]:
-        """Run one cycle of the driver's state; return its plan and its time (us)."""
+    def timed(self, driver: Controller, estimate: Estimate, t_ns: int) -> Lap:
+        """Run one cycle of the driver's state."""
         controller, timer = self.controller, self.timer
         controller.restore(driver.save(t_ns), t_ns)
         controller.observer = copy.deepcopy(driver.observer)
         started_ns = time.monotonic_ns()
         timer.start()
         plan = controller.plan(estimate, t_ns=t_ns)
-        return plan, (time.monotonic_ns() - started_ns) / 1000
+        return Lap(plan.solve, (time.monotonic_ns() - started_ns) / 1000, timer.stage_us)
 
-    def keep(self, plan: Plan, exact: Array) -> None:
-        """Record the cycle that produced ``plan``, whose problem has the solution ``exact`` (N+1, 12)."""
-        into = self._into
-        into.cycle_us.append(self._cycle_us)
-        into.repeated_us.append(self._repeated_us)
-        into.flushed_us.append(self.flushed_us)
+    def keep(self, laps: Sequence[Lap], exact: Array) -> None:
+        """Record a cycle in three states of the caches, whose problem has the solution ``exact`` (N+1, 12)."""
+        into, (interleaved, repeated, flushed) = self._into, laps
+        into.cycle_us.append(interleaved.us)
+        into.repeated_us.append(repeated.us)
+        into.flushed_us.append(flushed.us)
         for stage, sample in into.stage_us.items():
-            sample.append(self._stage_us.get(stage, 0.0))
-        into.iterations.append(plan.solve.iterations)
-        into.status[plan.solve.status] += 1
+            sample.append(interleaved.stage_us.get(stage, 0.0))
+        into.iterations.append(interleaved.solve.iterations)
+        into.status[interleaved.solve.status] += 1
         off = self.recorded.result.z[1] - exact[1]
         error = np.abs(off[COMMANDS:CHANGES] * self._largest_N).max()
         into.thrust_error_N.append(float(error) if np.isfinite(error) else np.nan)
