@@ -206,7 +206,7 @@ def picture(vehicle: Vehicle, reference: Reference, fence: Fence | None, start: 
     rows = int(extent[0] / column_m / ASPECT) + 1
     letters = np.full((rows, int(extent[1] / column_m) + 1), " ")
     for letter, line in lines:
-        if len(line) > 1:
+        if np.ptp(line, axis=0).any():  # one place is no line
             line = shapely.get_coordinates(shapely.segmentize(shapely.LineString(line), 0.5 * column_m))
         cells = np.rint((line - low) / (column_m * ASPECT, column_m)).astype(np.int64)
         row, column = np.minimum(cells, np.array(letters.shape) - 1).T

@@ -16,7 +16,7 @@ import tomllib
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import pytest
 from typer.core import TyperGroup
@@ -25,10 +25,8 @@ from typer.main import get_command
 from ltv_mpc import Fence
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.localisation.config import EstimatorConfig
-from ltv_mpc.messages import Action
-from services.cli import start
+from services.cli import bus, start
 from services.cli.app import app, run
-from services.cli.bus import HEARTBEAT
 from services.run.folder import RunFolder
 from services.run.run_config import RunConfig
 from services.runtime.stopping import DONE
@@ -251,7 +249,7 @@ def mentioned(words: list[str], place: str) -> None:
         command = command.commands[several[0]]
         words = words[1:]
     if command.name == "ctl" and words and words[0].islower():
-        assert words[0] in (*Action, HEARTBEAT), f"{place}: ctl has no action {words[0]}"
+        assert words[0] in get_args(bus.Action), f"{place}: ctl has no action {words[0]}"
     options |= {name for parameter in command.params for name in (*parameter.opts, *parameter.secondary_opts)}
     for word in words:
         option = word.strip("[]").partition("=")[0]

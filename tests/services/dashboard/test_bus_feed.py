@@ -32,7 +32,7 @@ def test_no_heartbeat_goes_out_before_a_process_of_the_run_is_known() -> None:
 
 
 def test_the_status_says_since_when_the_health_has_its_reason() -> None:
-    feed = BusFeed(MagicMock(), None)
+    feed = BusFeed(MagicMock(**{"ask.return_value": None}), None)
     for t_s, why in ((1, ""), (2, "not driving"), (3, "not driving")):
         changed = replace(plan(t_s * S), health=Health.DEGRADED, health_why=why)
         feed.collector.add(changed, epoch=0)
