@@ -169,4 +169,5 @@ def _corners(centre: dict[str, float], radius_m: float) -> Ring:
     """Return the corners of the polygon in a circle."""
     angles = 2.0 * math.pi * np.arange(CORNERS) / CORNERS
     offsets = radius_m * np.column_stack([np.cos(angles), np.sin(angles)])
-    return [dict(zip(DEGREES, degrees(*offset, Origin(**centre)), strict=True)) for offset in offsets.tolist()]
+    places = [degrees(north, east, Origin(**centre)) for north, east in offsets.tolist()]
+    return [dict(zip(DEGREES, place, strict=True)) for place in places]

@@ -71,7 +71,8 @@ def local(place: Place, origin: Origin | None) -> Pair:
     if origin is None:
         raise ValueError("latitude_deg and longitude_deg need an [origin] with latitude_deg and longitude_deg")
     # points on the far side of the Earth project near the origin, so the angles are checked too; NaN is not near
-    near = abs(degrees[0] - origin.latitude_deg) <= 1.0 and (degrees[1] - origin.longitude_deg + 90.0) % 360.0 <= 180.0
+    same_side = abs(origin.latitude_deg) > 80.0 or (degrees[1] - origin.longitude_deg + 90.0) % 360.0 <= 180.0
+    near = abs(degrees[0] - origin.latitude_deg) <= 1.0 and same_side
     north, east = tangent_plane(degrees[0], degrees[1], origin) if near else (math.inf, math.inf)
     if math.hypot(north, east) > MAX_DISTANCE_M:
         raise ValueError(
