@@ -20,7 +20,7 @@ import shapely
 from ltv_mpc import config
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.geofence.geojson import Ring, zones_around
-from ltv_mpc.references.geodesy import Origin, degrees
+from ltv_mpc.references.geodesy import DEGREES, Origin, degrees
 from ltv_mpc.references.mission_files import QGC_WPL, note_unused, read_waypoints
 from ltv_mpc.references.mission_items import WAYPOINT, Item, command_name
 
@@ -129,6 +129,7 @@ def zones_of(items: Iterable[Item], source: str) -> dict[str, Any]:
             problem = f"the polygon before it has {len(ring)} of {ring[0].parameters[0]:g} vertices"
             raise ConfigError(source, where, problem)
         places = [_place(item)]
+        config.parse(places[0], Origin, source=f"{source}: {where}")
         if command in (CIRCLE_IN, CIRCLE_OUT):
             if not 0.0 < size <= MAX_RADIUS_M:
                 raise ConfigError(source, f"{where} radius", f"must be above 0 and <= {MAX_RADIUS_M:g} m", value=size)
@@ -145,7 +146,7 @@ def zones_of(items: Iterable[Item], source: str) -> dict[str, Any]:
             corners = places if command == KEEP_IN else _corners(places[0], size)
             try:
                 polygon = shapely.Polygon([(at["longitude_deg"], at["latitude_deg"]) for at in corners])
-            except (ValueError, shapely.GEOSException) as error:  # not finite, or fewer than 3
+            except (ValueError, shapely.GEOSException) as error:  # fewer than 3
                 raise ConfigError(source, where, f"is no polygon: {error}") from None
             groups.setdefault((int(group), 0 if group else len(groups)), []).append(polygon)
         elif command == KEEP_OUT:
@@ -169,4 +170,4 @@ def _corners(centre: dict[str, float], radius_m: float) -> Ring:
     angles = 2.0 * math.pi * np.arange(CORNERS) / CORNERS
     offsets = radius_m * np.column_stack([np.cos(angles), np.sin(angles)])
     places = [degrees(north, east, Origin(**centre)) for north, east in offsets.tolist()]
-    return [{"latitude_deg": at, "longitude_deg": on} for at, on in places]
+    return [dict(zip(DEGREES, place, strict=True)) for place in places]

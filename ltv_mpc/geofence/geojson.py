@@ -129,7 +129,7 @@ def features_of(text: str | bytes, source: str, notes: list[str]) -> tuple[dict[
         try:
             shape = shapely.from_geojson(parts)
         except shapely.GEOSException as error:
-            reason = str(error).partition(": ")[2]  # behind the name of an exception of GEOS
+            reason = str(error).partition(": ")[2].strip()  # behind the name of an exception of GEOS
             raise ConfigError(source, f"{where}.geometry", f"is no geometry of GeoJSON: {reason}") from None
         features.append(Feature(where, properties, shape))
     return content, features

@@ -70,10 +70,11 @@ def local(place: Place, origin: Origin | None) -> Pair:
         raise ValueError("a position needs north_m and east_m, or latitude_deg and longitude_deg")
     if origin is None:
         raise ValueError("latitude_deg and longitude_deg need an [origin] with latitude_deg and longitude_deg")
-    north, east = tangent_plane(degrees[0], degrees[1], origin)
-    distance = math.hypot(north, east)
-    # points on the far side of the Earth project near the origin, so the angle is checked too
-    if distance > MAX_DISTANCE_M or abs(degrees[0] - origin.latitude_deg) > 1.0:
+    # points on the far side of the Earth project near the origin, so the angles are checked too; NaN is not near
+    same_side = abs(origin.latitude_deg) > 80.0 or (degrees[1] - origin.longitude_deg + 90.0) % 360.0 <= 180.0
+    near = abs(degrees[0] - origin.latitude_deg) <= 1.0 and same_side
+    north, east = tangent_plane(degrees[0], degrees[1], origin) if near else (math.inf, math.inf)
+    if math.hypot(north, east) > MAX_DISTANCE_M:
         raise ValueError(
             f"latitude_deg = {degrees[0]:g}, longitude_deg = {degrees[1]:g}: must not be farther than "
             f"{MAX_DISTANCE_M / 1000:g} km from the origin"

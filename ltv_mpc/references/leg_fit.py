@@ -5,7 +5,8 @@ Planners, logs and mission editors write points whose corners are not corners of
 0. Sparse points that turn evenly are samples of a curve: the cubic spline through them, drawn in where it leaves the
    straight lines between them by more than ``corner_m``, adds points (the turn of a corner is not that of its
    neighbours).
-1. Neighbours are averaged in pairs while their distance is below ``NOISY_STEPS`` standard deviations of the noise.
+1. Neighbours are averaged in pairs while their distance is below ``NOISY_STEPS`` standard deviations of the noise: the
+   median, and each one below twice that, so that a long rest does not blur the way to it.
 2. Points within a tolerance of the leg between two others are left out (Douglas & Peucker 1973). A leg never goes back
    along itself: the point at which the path turns back is kept.
 3. The ends of the legs move to the least-squares fit of all points. Legs that noise made of one corner become one, a
@@ -206,9 +207,9 @@ def _averaged(p: Array, largest_m: float) -> tuple[Array, Array]:
         noise_m = _noise_m(p)
         if not dense.any() or np.median(steps[dense]) >= NOISY_STEPS * noise_m or noise_m > largest_m:
             break
-        alone = np.ones(len(p), dtype=bool)  # or the first of its group
-        alone[1::2] = ~dense[::2]
-        alone[-1] &= not dense[-1]
+        alone, apart = np.ones(len(p), dtype=bool), steps >= min(DENSE_M, 2.0 * NOISY_STEPS * noise_m)
+        alone[1::2] = apart[::2]  # or the first of its group
+        alone[-1] &= apart[-1]
         first = np.flatnonzero(alone)
         size = np.diff(first, append=len(p))[:, None]
         p, number = (np.add.reduceat(of, first) / size for of in (p, number))

@@ -127,13 +127,13 @@ def read_waypoints(text: str, source: str) -> list[Item]:
     for k, line in enumerate(lines, start=2):
         try:
             if cells := [float(cell) for cell in line.partition("#")[0].split()]:
-                number, _, frame, command, *parameters, latitude, longitude, altitude, _ = cells
-                if len(parameters) != 4:
+                number, _, frame, command = map(int, cells[:4])
+                *parameters, latitude, longitude, altitude, _ = cells[4:]
+                if len(parameters) != 4 or any(cell % 1.0 for cell in cells[:4]):
                     raise ValueError
-                place = latitude, longitude, altitude
-                items.append(Item(int(number), int(command), int(frame), tuple(parameters), *place))
+                items.append(Item(number, command, frame, tuple(parameters), latitude, longitude, altitude))
         except (ValueError, OverflowError):
-            raise ConfigError(source, f"line {k}", "must have 12 numbers", value=line[:60]) from None
+            raise ConfigError(source, f"line {k}", "must have 12 numbers, the first 4 whole", value=line[:60]) from None
     if not items:
         raise ConfigError(source, "", "has no items")
     return items

@@ -142,9 +142,10 @@ def test_what_a_fence_does_not_use_is_a_note(tmp_path: Path) -> None:
         (
             "f.waypoints",
             items(ITEM_0, *[item(5001, 2.0)] * 2),
-            "item 2 MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION (5001)",
+            "item 2 MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION (5001): is no polygon",
         ),
-        ("f.waypoints", items(ITEM_0, (5001, 3.0, 0, math.nan, -5.0), *[item(5001, 3.0)] * 2), "(5001): is no polygon"),
+        ("f.waypoints", items(ITEM_0, (5001, 3.0, 0, math.nan, -5.0)), "(5001): latitude_deg = nan: must be finite"),
+        ("f.waypoints", items(ITEM_0, (5003, 9.0, 0, 50.2, math.inf)), "(5003): longitude_deg = inf: must be finite"),
         ("f.waypoints", items(ITEM_0, (5003, 9.0, math.inf, 50.2, -5.1)), "(5003) group = inf: must be a number"),
         ("f.waypoints", items(ITEM_0, item(5003)), "item 1 MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION (5003) radius = 0"),
     ],

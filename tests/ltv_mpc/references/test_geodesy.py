@@ -39,15 +39,12 @@ def test_near_the_origin_positions_agree_with_the_radii_of_curvature(latitude, l
     ("place", "origin", "says"),
     [
         (Place(north_m=1.0), None, "a position needs north_m and east_m, or latitude_deg and longitude_deg"),
-        (
-            Place(north_m=1.0, east_m=2.0, latitude_deg=3.0, longitude_deg=4.0),
-            None,
-            "a position needs north_m and east_m, or",
-        ),
+        (Place(north_m=1, east_m=2, latitude_deg=3, longitude_deg=4), None, "a position needs north_m and east_m, or"),
         (Place(latitude_deg=3.0), HERE, "position needs north_m and east_m, or"),
         (Place(latitude_deg=3.0, longitude_deg=4.0), None, r"need an \[origin\]"),
         (Place(latitude_deg=3.6, longitude_deg=4.0), HERE, "farther than 50 km"),
         (Place(latitude_deg=-3.0, longitude_deg=-176.0), HERE, "farther than"),
+        (Place(latitude_deg=0.1, longitude_deg=-80.0), Origin(latitude_deg=0.1, longitude_deg=100.0), "farther than"),
     ],
 )
 def test_a_place_without_coordinates_with_both_kinds_or_too_far_is_rejected(place, origin, says):

@@ -137,10 +137,10 @@ def test_what_a_file_holds_beside_its_path_is_a_note(tmp_path: Path) -> None:
     fence = {"polygons": [{"inclusion": True, "polygon": []}], "circles": [{}]}
     content = json.loads(plan(*(simple(k, 16, 0, 0, 0, None, *place, 50) for k, place in enumerate(PLACES[:2], 1))))
     (tmp_path / "m.plan").write_text(json.dumps(content | {"geoFence": fence, "rallyPoints": {"points": [[]]}}))
-    lists = [mission("3 16 0 0 0 0 50.2002 -5.1 7", "3 16 0 0 0 0 50.2 -5.1002 0") + "\n# pymavlink writes comments"]
-    lists.append(lists[0].replace("0 16 0 0 0 0 50.2 -5.1 0", "0 16 0 0 0 0 0 0 0"))  # its home is not known
-    (tmp_path / "m.txt").write_text(lists[0])
-    (tmp_path / "m.waypoints").write_text(lists[1])
+    text = mission("3 16 0 0 0 0 50.2002 -5.1 7", "3 16 0 0 0 0 50.2 -5.1002 0") + "\n# pymavlink writes comments"
+    (tmp_path / "m.txt").write_text(text)
+    without_home = text.replace("0 16 0 0 0 0 50.2 -5.1 0", "0 16 0 0 0 0 0 0 0")
+    (tmp_path / "m.waypoints").write_text(without_home)
     features = [feature("Polygon", [], zone="keep_in"), feature("Point", [-5.1, 50.2])]
     features.append(feature("LineString", [[-5.1, 50.2, 3.0], [-5.1, 50.201]]))
     crs = {"type": "name", "properties": {"name": "EPSG:4258"}}
@@ -179,6 +179,8 @@ ELSEWHERE = "50.2 -5 0"
         ("m.waypoints", mission("3 93 5 0 0 0 0 0 0"), "item 1 MAV_CMD_NAV_DELAY (93) has no place before it"),
         ("m.waypoints", "QGC WPL 120\n", "line 1 = "),
         ("m.waypoints", mission("3 16 0 0 0 0 50.2 -5"), "line 3 = "),
+        ("m.waypoints", mission(f"3 16.7 0 0 0 0 {ELSEWHERE}"), "line 3 = "),
+        ("m.waypoints", mission("3 16 0 0 0 0 50.2 inf 0"), "item 1 MAV_CMD_NAV_WAYPOINT (16) latitude_deg = 50.2"),
         ("m.waypoints", mission(), "has no path and no point"),
         ("m.plan", "{", "is not a JSON object"),
         ("m.plan", "{}", "mission: is not that of a plan: 'plannedHomePosition'"),

@@ -181,6 +181,17 @@ def test_a_timed_track_of_a_noisy_log_keeps_its_times(noise_m):
         assert np.hypot(*(table[[NORTH, EAST]].T - points).T).max() < 0.02 + 4.0 * noise_m
 
 
+@pytest.mark.parametrize("rest_s", [40.0, 70.0])
+@pytest.mark.parametrize("noise_m", [0.005, NOISE_M])
+def test_a_noisy_log_with_a_long_rest_keeps_its_times(rest_s, noise_m):
+    t = np.arange(0.0, 100.01, 0.1)
+    points = np.column_stack([0.4 * np.minimum(t, 100.0 - rest_s), 0.0 * t])
+    noise = np.random.default_rng(0).normal(0.0, noise_m, points.shape)
+    table = Timed(rows=tuple(map(tuple, np.column_stack([t, points + noise]).tolist()))).schedule(PAPER).table
+    assert table[TIME, -1] == pytest.approx(100.0, abs=0.2)
+    assert np.hypot(*(table[[NORTH, EAST]].T - points).T).max() < 0.03 + 4.0 * noise_m
+
+
 lengths = st.floats(-1.0, 6.0).map(lambda exponent: 10.0**exponent)
 speeds = st.floats(-3.0, 1.3).map(lambda exponent: 10.0**exponent)
 
