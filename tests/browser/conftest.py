@@ -149,7 +149,7 @@ def live(browser: object) -> Iterator[Served]:  # noqa: ARG001  (skips first)
 def tab(browser: Any, size: tuple[int, int], *, own: str, scheme: str = "light") -> Iterator[Any]:
     """Open a page that fails on any console message and on any request to a host other than ``own``."""
     page = browser.new_page(viewport={"width": size[0], "height": size[1]}, color_scheme=scheme)
-    page.set_default_timeout(PATIENCE_MS)
+    page.context.set_default_timeout(PATIENCE_MS)  # of what it opens, too
     wrong: list[str] = []
     page.on("console", lambda message: wrong.append(f"{message.type}: {message.text}"))
     page.on("pageerror", lambda error: wrong.append(str(error)))
