@@ -10,7 +10,7 @@ import typer
 
 from services.cli.options import BusOptions, Force, Json, argument, flag, group, invalid, needs, option, with_bus
 
-Action: TypeAlias = Literal[
+ActionName: TypeAlias = Literal[
     "arm", "disarm", "stop", "manual", "release", "follow", "hold", "fence", "clear", "source", "heartbeat"
 ]
 """Actions of commands to the controller, and the heartbeat of an operator."""
@@ -23,7 +23,7 @@ NEEDED = {"follow": "a reference, NAME or FILE,", "fence": f"a fence, FILE or `{
 
 @with_bus("operator")
 def ctl(
-    action: Annotated[Action, argument("ACTION", "What the controller does, or `heartbeat`.")],
+    action: Annotated[ActionName, argument("ACTION", "What the controller does, or `heartbeat`.")],
     file: Annotated[
         str | None,
         argument(
@@ -41,9 +41,10 @@ def ctl(
     Waits for the reply, at most 3 s. Exit code 1 and the reason if the controller rejects the command. `heartbeat`
     has no reply: it is sent once a second until Ctrl-C, as a sign that an operator is present.
     """
-    from ltv_mpc import messages, references
+    from ltv_mpc import references
     from ltv_mpc.config import to_toml
     from ltv_mpc.geofence.fence import Fence
+    from ltv_mpc.messages import Action
     from ltv_mpc.node import DEFAULT_SOURCE
 
     if force and action != "arm":
@@ -70,7 +71,7 @@ def ctl(
         fields["source"] = file
     for note in notes:
         typer.echo(note, err=True)
-    return node.main(messages.Action(action), fields, bus)
+    return node.main(Action(action), fields, bus)
 
 
 def topics(

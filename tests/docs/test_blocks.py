@@ -249,7 +249,7 @@ def mentioned(words: list[str], place: str) -> None:
         command = command.commands[several[0]]
         words = words[1:]
     if command.name == "ctl" and words and words[0].islower():
-        assert words[0] in get_args(bus.Action), f"{place}: ctl has no action {words[0]}"
+        assert words[0] in get_args(bus.ActionName), f"{place}: ctl has no action {words[0]}"
     options |= {name for parameter in command.params for name in (*parameter.opts, *parameter.secondary_opts)}
     for word in words:
         option = word.strip("[]").partition("=")[0]
