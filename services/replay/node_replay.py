@@ -212,8 +212,8 @@ class NodeReplay:
         return epoch
 
 
-def feed(recording: Recording, nodes: Sequence[NodeReplay]) -> float:
-    """Read the recording once. Return the time from its first to its last message (vehicle seconds)."""
+def feed(recording: Recording, nodes: Sequence[NodeReplay], is_done: Callable[[], bool] = lambda: False) -> float:
+    """Read the recording once, until ``is_done``. Return the time from its first to its last message (s of vehicle)."""
     readers: dict[str, list[NodeReplay]] = {}
     for node in nodes:
         for key in node.keys:
@@ -233,6 +233,8 @@ def feed(recording: Recording, nodes: Sequence[NodeReplay]) -> float:
         if at % SWEEP == 0:
             for node in nodes:
                 node.sweep(at)
+        if is_done():
+            break
     for node in nodes:
         node.close()
     if times_ns:

@@ -109,9 +109,9 @@ def recorded(run: str, stages: int, cycles: int) -> list[Episode]:
     if stages != DEFAULT:
         config = msgspec.structs.replace(config, horizon_s=seconds(stages), max_stages=max(stages, 2))
 
-    def feed(node: Node, _: Callable[[], bool]) -> None:
+    def feed(node: Node, is_done: Callable[[], bool]) -> None:
         replay = NodeReplay(node.name, lambda _: node, lambda _: WhatIf(node.name))
-        node_replay.feed(replayed.recording(), [replay])
+        node_replay.feed(replayed.recording(), [replay], is_done)
 
     name = replayed.path.resolve().parent.name
     return [Episode(name, own.vehicle, own.follower.reference, config, cycles, feed)]

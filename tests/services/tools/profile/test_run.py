@@ -225,6 +225,9 @@ def test_a_recorded_run_gives_the_controller_what_it_got(dive: Path) -> None:
         assert isinstance(was, Plan)
         assert made.cycle_t_ns == was.cycle_t_ns
         np.testing.assert_array_equal(made.thrust_N, was.thrust_N)
+    short = Probe(episode)
+    episode.feed(short, lambda: len(short.plans) >= 5)
+    assert 5 <= len(short.plans) < 15  # a long recording is not read to its end
 
 
 def test_a_recorded_run_is_measured_at_any_horizon_and_json_has_stdout_to_itself(dive, capsys, monkeypatch) -> None:
