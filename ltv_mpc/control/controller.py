@@ -295,7 +295,8 @@ class Controller:
         t_ns : now, vehicle time (ns).
         """
         own = self.estimate_gate.health(t_ns)
-        return worst(own, self.actuator_check.health, self._target_health, self.vehicle_file_check.health)
+        rates = self.estimate_gate.filter.health
+        return worst(own, self.actuator_check.health, self._target_health, self.vehicle_file_check.health, rates)
 
     @property
     def _target_health(self) -> HealthState:
@@ -445,7 +446,10 @@ class Controller:
 
         The decision uses the newest plausible estimate, corrected by the disturbance observer.
         """
-        estimate, check = self.estimate_gate.select(newest), self.actuator_check
+        believed, check = self.estimate_gate.filter.health, self.actuator_check
+        estimate = self.estimate_gate.select(newest)
+        if self.estimate_gate.filter.health != believed:  # what other rates have taught is wrong
+            self.observer = DisturbanceObserver(self.config.disturbance, self.vehicle)
         given = self.estimate_gate.accepted
         check.overridden = override is not None
         if check.began_ns is not None:
@@ -457,8 +461,8 @@ class Controller:
                 self.vehicle_file_check.add(given)
             estimate = self.observer.correct(estimate, self.prediction, learns=check.learns)
             self.prediction.coefficients[:] = self.observer.coefficients
-            bounded, in_waves = self.observer.is_bounded, self.observer.in_waves
-            self.vehicle_file_check.update(estimate.t_ns, bounded=bounded, in_waves=in_waves)
+            other = self.observer.in_waves or self.estimate_gate.filter.health is not NOMINAL
+            self.vehicle_file_check.update(estimate.t_ns, bounded=self.observer.is_bounded, other_cause=other)
         own = self.estimate_gate.health(now_ns)
         if estimate is not None and own.health is Health.DEGRADED:
             bias = self.observer.covariance_of_mean((now_ns - estimate.t_ns) * 1e-9)
@@ -469,7 +473,7 @@ class Controller:
             estimate,
             now_ns,
             override=override,
-            health=worst(own, health, check.health, self._target_health, self.vehicle_file_check.health),
+            health=worst(own, health, self.health(now_ns)),
             late=own is not NOMINAL,
             follower=self.follower,
             lateral=self.config.lateral,

@@ -295,7 +295,8 @@ class ControllerNode:
             monitor.restart()
         elif estimate is not None:
             observer = self.controller.observer
-            if self.controller.vehicle_file_check.stamps_are_late:
+            rates_agree = self.controller.estimate_gate.filter.health is NOMINAL
+            if self.controller.vehicle_file_check.stamps_are_late or not rates_agree:
                 monitor.dismiss()
             check = monitor.update(estimate, observer.current, observer.coefficients)
         self._set_thrust_shares()

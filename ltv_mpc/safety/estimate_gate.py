@@ -18,29 +18,19 @@ estimates, from their covariances (5 m and 0.5 rad for an estimate without covar
 A correct filter can also jump, after a fix that ends a long drift. Therefore a jump is rejected only once: the second
 of two successive estimates that are consistent with each other is accepted. While estimates are rejected, the last
 accepted one stays in use and ages, so a source of implausible estimates has the same effect as a silent one.
-
-A navigation filter gives a position that is the integral of its velocity, up to small corrections. A bare receiver
-gives positions with white noise, and the controller would follow the noise. So without a covariance the position is
-filtered. With positions p and velocities v, for each horizontal component,
-
-    R = (1.48 median |p - p_before - v dt|)^2 / 2     over the last ``WINDOW`` estimates: variance of a position
-    x <- x + v dt,   P <- P + q^2 dt
-    K = P / (P + R),   x <- x + K (p - x),   P <- (1 - K) P
-
-A single correction of the position, a fix after a drift, does not change the median. Up to a noise of ``CLEAN_M`` the
-estimates are used as they are.
 """
 
 from __future__ import annotations
 
 import math
-from collections import Counter, deque
+from collections import Counter
 from typing import NamedTuple
 
 import msgspec
 import numpy as np
 
-from ltv_mpc.messages import CurrentProfile, Estimate, Health, Pair
+from ltv_mpc.messages import CurrentProfile, Estimate, Health
+from ltv_mpc.safety.estimate_filter import EstimateFilter, standard_deviation
 from ltv_mpc.safety.health import DEFAULT_AGES, NOMINAL, PREDICTED_TOO_FAR, Ages, HealthState, health
 from ltv_mpc.safety.input_age import InputAge
 from ltv_mpc.validation import relation_reason
@@ -56,21 +46,7 @@ UNKNOWN_SD_M, UNKNOWN_SD_RAD = 5.0, 0.5
 NOT_FINITE = "a number is not finite"
 REJECTED = "the newest was rejected: "
 JUMPED = "jumped farther than the vehicle can move"
-
-WINDOW = 15
-"""Number of innovations in the median: a noise shows after 8 estimates."""
-
-CLEAN_M = 0.03
-"""Noise of the positions up to which they are used as they are."""
-
-VELOCITY_ERROR_M_PER_RTS = 0.02
-"""q: random walk of the integral of the velocities."""
-
-MAX_INTERVAL_NS = 2_000_000_000
-"""Longest time between two estimates: over a longer one the velocity is not constant enough, and the filter starts."""
-
-OF_MEDIAN = 1.4826
-"""Standard deviation over the median of the absolute value, of a normal distribution."""
+TOO_FAST, TURNS_TOO_FAST = (f"{rate} above what the vehicle can reach" for rate in ("velocity over ground", "yaw rate"))
 
 
 class Bounds(NamedTuple):
@@ -98,54 +74,6 @@ class Bounds(NamedTuple):
         return cls(2.0 * top + CURRENT_MPS, 3.0 * turning + 0.5, 2.0 * sinking + 1.0)
 
 
-class PositionFilter:
-    """Kalman filter of the horizontal position, with the noise that the positions show."""
-
-    def __init__(self) -> None:
-        self._last: Estimate | None = None  # as it was given
-        self._filtered: Pair | None = None  # None: as it was given
-        self._variance = 0.0
-        self._innovations: deque[float] = deque(maxlen=2 * WINDOW)  # both components of each
-
-    def update(self, estimate: Estimate) -> Estimate:
-        """Return the estimate with the filtered position; itself if its positions are clean, or have a covariance.
-
-        Parameters
-        ----------
-        estimate : the newest accepted one.
-        """
-        last, self._last = self._last, estimate
-        if last is not None and estimate.t_ns == last.t_ns:
-            return self._with_position(estimate)
-        if last is None or not 0 < estimate.t_ns - last.t_ns <= MAX_INTERVAL_NS or estimate.covariance is not None:
-            self._filtered, self._variance = None, 0.0
-            self._innovations.clear()
-            return estimate
-        seconds = (estimate.t_ns - last.t_ns) * 1e-9
-        north_m = 0.5 * seconds * (last.velocity_north_mps + estimate.velocity_north_mps)
-        east_m = 0.5 * seconds * (last.velocity_east_mps + estimate.velocity_east_mps)
-        self._innovations.append(abs(estimate.north_m - last.north_m - north_m))
-        self._innovations.append(abs(estimate.east_m - last.east_m - east_m))
-        # the difference of two positions has twice the variance of one
-        middle = sorted(self._innovations)[len(self._innovations) // 2]  # numpy's median takes ten times as long
-        noise_m = OF_MEDIAN * math.sqrt(0.5) * middle
-        if len(self._innovations) < WINDOW or noise_m <= CLEAN_M:
-            self._filtered, self._variance = None, noise_m**2
-            return estimate
-        self._variance += VELOCITY_ERROR_M_PER_RTS**2 * seconds
-        gain = self._variance / (self._variance + noise_m**2)
-        before = self._filtered or (last.north_m, last.east_m)
-        north_m, east_m = before[0] + north_m, before[1] + east_m  # predicted
-        self._filtered = north_m + gain * (estimate.north_m - north_m), east_m + gain * (estimate.east_m - east_m)
-        self._variance *= 1.0 - gain
-        return self._with_position(estimate)
-
-    def _with_position(self, estimate: Estimate) -> Estimate:
-        if self._filtered is None:
-            return estimate
-        return msgspec.structs.replace(estimate, north_m=self._filtered[0], east_m=self._filtered[1])
-
-
 class EstimateGate:
     """Filter for incoming estimates that keeps the newest accepted one, and the health that follows from its age."""
 
@@ -165,8 +93,9 @@ class EstimateGate:
         """Age of the accepted estimates, by their stamps."""
         self.growth_m = 0.0
         """Growth of the standard deviation of the predicted position since the estimate, if that is late (m)."""
-        self._bounds, self._ages = Bounds.of(vehicle), ages
-        self._positions = PositionFilter()
+        self._vehicle, self._bounds, self._ages = vehicle, Bounds.of(vehicle), ages
+        self.filter = EstimateFilter(vehicle)
+        """What of the accepted estimates is used."""
         self._uncertain: Estimate | None = None  # the last one from which the prediction grew too uncertain
         self._jumped: Estimate | None = None  # the last estimate, if it was rejected as a jump
         self._last: tuple[Estimate | None, str] = (None, "")  # the last rejected estimate, and the reason
@@ -201,7 +130,8 @@ class EstimateGate:
     def restart(self) -> None:
         """Begin with another source: its next plausible estimate is accepted, and its period is its own."""
         self.accepted = self._jumped = None
-        self.age, self._last, self._positions = InputAge(), (None, ""), PositionFilter()
+        self.age, self._last = InputAge(), (None, "")
+        self.filter = EstimateFilter(self._vehicle)
 
     def select(self, newest: Estimate) -> Estimate | None:
         """Return the newest accepted estimate, with its position filtered if it is noisy; None before the first.
@@ -210,9 +140,12 @@ class EstimateGate:
         ----------
         newest : estimate that was received last.
         """
-        self.check(newest)
         self.growth_m = 0.0
-        return None if self.accepted is None else self._positions.update(self.accepted)
+        of = newest if self.check(newest) in {TOO_FAST, TURNS_TOO_FAST} else self.accepted
+        if of is None:
+            return None
+        used = self.filter.with_rates(of)  # an impossible rate, too: once it has failed, it rejects no estimate
+        return self.accepted and self.filter.with_position(used if of is self.accepted else self.accepted)
 
     def health(self, t_ns: int) -> HealthState:
         """Return the health by the age of the newest accepted estimate, and by ``limit_growth``.
@@ -255,10 +188,10 @@ class EstimateGate:
         vn, ve = e.velocity_north_mps, e.velocity_east_mps
         if not math.isfinite(e.north_m + e.east_m + e.heading_rad + vn + ve + e.yaw_rate_radps):
             return NOT_FINITE
-        if not vn * vn + ve * ve <= bounds.speed_mps * bounds.speed_mps:
-            return "velocity over ground above what the vehicle can reach"
-        if not abs(e.yaw_rate_radps) <= bounds.yaw_rate_radps:
-            return "yaw rate above what the vehicle can reach"
+        if not vn * vn + ve * ve <= bounds.speed_mps * bounds.speed_mps and not self.filter.velocity.failed:
+            return TOO_FAST
+        if not abs(e.yaw_rate_radps) <= bounds.yaw_rate_radps and not self.filter.yaw_rate.failed:
+            return TURNS_TOO_FAST
         P = e.covariance
         if not math.isfinite(e.depth_m or 0.0) or not (P is None or math.isfinite(np.vdot(P, P))):
             return NOT_FINITE
@@ -275,6 +208,10 @@ class EstimateGate:
         """
         bounds = self._bounds
         dt = abs(new.t_ns - old.t_ns) * 1e-9
+        if self.filter.velocity.failed:
+            old = msgspec.structs.replace(old, velocity_north_mps=0.0, velocity_east_mps=0.0)
+        if self.filter.yaw_rate.failed:
+            old = msgspec.structs.replace(old, yaw_rate_radps=0.0)
         off_n = new.north_m - old.north_m - old.velocity_north_mps * dt
         off_e = new.east_m - old.east_m - old.velocity_east_mps * dt
         reach = bounds.speed_mps * dt + JUMP_M
@@ -298,16 +235,3 @@ def _problem(profile: CurrentProfile) -> str:
         return f"current: {reason}"
     north, east = profile.north_mps, profile.east_mps
     return "" if math.isfinite(np.vdot(north, north) + np.vdot(east, east)) else NOT_FINITE
-
-
-def standard_deviation(estimate: Estimate, indices: tuple[int, ...], unknown: float) -> float:
-    """Return the standard deviation of some states, from the diagonal of the covariance.
-
-    Parameters
-    ----------
-    estimate : any estimate.
-    indices : places of the states in the covariance.
-    unknown : result for an estimate without covariance.
-    """
-    P = estimate.covariance
-    return unknown if P is None else math.sqrt(sum(max(float(P[i, i]), 0.0) for i in indices))

@@ -63,14 +63,6 @@ def _turn_to_earth(record: Record) -> None:
     motion[:, VELOCITY] = np.stack([cos * ahead - sin * aside, sin * ahead + cos * aside], axis=1)
 
 
-def _differentiate_heading(record: Record) -> None:
-    record.motion[:, YAW_RATE] = np.gradient(np.unwrap(record.motion[:, HEADING]), record.motion[:, T])
-
-
-def _differentiate_position(record: Record) -> None:
-    record.motion[:, VELOCITY] = np.gradient(record.motion[:, POSITION], record.motion[:, T], axis=0)
-
-
 Undo: TypeAlias = Callable[[Record], None]
 """Change of a record in place."""
 
@@ -82,8 +74,6 @@ OF_ESTIMATES: dict[str, Undo] = {
     "the heading is in degrees": partial(_set_heading, np.radians),
     "the velocities are along the vehicle's axes": _turn_to_earth,
     "the velocities are in knots": partial(_scale, VELOCITY, 1852.0 / 3600.0),
-    "the yaw rate is not that of the heading": _differentiate_heading,
-    "the velocities are not those of the positions": _differentiate_position,
 }
 """Slips that contradict the estimates' own kinematics."""
 
@@ -98,9 +88,6 @@ OF_THRUSTS: dict[str, Undo] = {
     "north and east are swapped": _swap_axes,
 }
 """Slips that only the motion's answer to the thrusts shows."""
-
-GENERAL = tuple(OF_ESTIMATES)[-2:]
-"""Slips that are named if no other one is as good."""
 
 FOUND_NATS, FOUND_SHARE, AS_GOOD = 15.0, 0.1, 0.6
 """Evidence from which a slip is named: so many nats, and so many for each number that is explained. Right installations
@@ -156,7 +143,7 @@ class SlipTest:
             return
         by_model = self._by_model(undone, segments)
         if by_kinematics + by_model > least:
-            self._evidence[slip] = by_kinematics, by_model - (least if slip in GENERAL else 0.0)
+            self._evidence[slip] = by_kinematics, by_model
 
     @property
     def found(self) -> str:

@@ -8,7 +8,8 @@ its data sheet (docs/notes/lever-arm.md).
 
 Estimates that are older than their stamps move the origin to another time, and with a slip of the installation
 (``installation_slips.py``) no value of the fit means anything, so while either is named, nothing else is.
-Nor is the file while waves carry the vehicle: what they do to it, no noise of the fit is like.
+Nor is the file while waves carry the vehicle, since what they do to it, no noise of the fit is like, or while the
+estimates contradict themselves (``rate_check.py``).
 """
 
 from __future__ import annotations
@@ -85,17 +86,17 @@ class VehicleFileCheck:
         if self.fit.update(estimate):
             self._slips.update()
 
-    def update(self, t_ns: int, *, bounded: bool = False, in_waves: bool = False) -> None:
+    def update(self, t_ns: int, *, bounded: bool = False, other_cause: bool = False) -> None:
         """Update the alarm.
 
         Parameters
         ----------
         t_ns : time of the newest estimate, vehicle time (ns).
         bounded : the learned current is at its bound.
-        in_waves : they carry the vehicle.
+        other_cause : waves carry the vehicle, or the estimates contradict themselves.
         """
         fit = self.fit
-        errors = {} if in_waves else dict(_errors(fit))
+        errors = {} if other_cause else dict(_errors(fit))
         if bounded:
             errors[BOUNDED] = f"{BOUNDED}: check estimates, thrusters and vehicle file"
         delay_s = float(fit.x[DELAY])

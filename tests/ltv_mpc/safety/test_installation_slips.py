@@ -19,7 +19,6 @@ KNOTS_IN_MPS = 1852.0 / 3600.0
 ESTIMATES = {
     "the yaw rate has the wrong sign": lambda e: {"yaw_rate_radps": -e.yaw_rate_radps},
     "the yaw rate is in degrees per second": lambda e: {"yaw_rate_radps": math.degrees(e.yaw_rate_radps)},
-    "the yaw rate is not that of the heading": lambda _: {"yaw_rate_radps": 0.0},
     "the heading is counted from east, to the left": lambda e: {"heading_rad": math.pi / 2 - e.heading_rad},
     "the heading is counted to the left": lambda e: {"heading_rad": -e.heading_rad},
     "the heading is in degrees": lambda e: {"heading_rad": math.degrees(e.heading_rad)},
@@ -33,7 +32,6 @@ ESTIMATES = {
         "velocity_north_mps": e.velocity_north_mps / KNOTS_IN_MPS,
         "velocity_east_mps": e.velocity_east_mps / KNOTS_IN_MPS,
     },
-    "the velocities are not those of the positions": lambda _: {"velocity_north_mps": 0.0, "velocity_east_mps": 0.0},
     "the heading is that of the stern": lambda e: {"heading_rad": e.heading_rad + math.pi},
     "the heading is that of the port side": lambda e: {"heading_rad": e.heading_rad - math.pi / 2},
     "the heading is that of the starboard side": lambda e: {"heading_rad": e.heading_rad + math.pi / 2},

@@ -94,8 +94,8 @@ def test_late_stamps_are_named_with_the_delay_and_nothing_that_they_explain():
 
 
 def test_while_waves_carry_the_vehicle_late_stamps_are_named_and_the_file_is_not():
-    assert checked((0.5, 0.0), {0: 2.0}, in_waves=True).why == ""
-    assert checked(NO_ARM, {}, 0.5, in_waves=True).stamps_are_late
+    assert checked((0.5, 0.0), {0: 2.0}, other_cause=True).why == ""
+    assert checked(NO_ARM, {}, 0.5, other_cause=True).stamps_are_late
 
 
 def test_without_reports_late_stamps_or_thrusters_that_answer_late_are_named():
