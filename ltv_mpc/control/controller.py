@@ -22,6 +22,7 @@ import contextlib
 import math
 from collections.abc import Sequence
 
+import msgspec
 import numpy as np
 
 from ltv_mpc.bathymetry import Bathymetry
@@ -263,7 +264,7 @@ class Controller:
         """Begin with another source of estimates: gate, period, checks and current bias are those of one source."""
         self.estimate_gate.restart()
         self.vehicle_file_check = VehicleFileCheck(MotionFit(self.vehicle))
-        self.observer = DisturbanceObserver(self.config.disturbance, self.vehicle)
+        self._restart_observer()
 
     def predict(self, estimate: Estimate, t_ns: int) -> Array:
         """Return the predicted lateral state (6,) at ``t_ns``: n, e, u, v, psi, r.
@@ -439,6 +440,10 @@ class Controller:
         for follower in self._followers:
             follower.restrict(self._lateral.fencing.allowed_path)
 
+    def _restart_observer(self, mean: Array | None = None) -> None:
+        """Forget what other rates or stamps have taught."""
+        self.observer = DisturbanceObserver(self.config.disturbance, self.vehicle, mean)
+
     # --- parts of a cycle ---
 
     def _decide(self, newest: Estimate, now_ns: int, override: ThrustOverride | None, health: HealthState) -> Decision:
@@ -448,8 +453,8 @@ class Controller:
         """
         believed, check = self.estimate_gate.filter.health, self.actuator_check
         estimate = self.estimate_gate.select(newest)
-        if self.estimate_gate.filter.health != believed:  # what other rates have taught is wrong
-            self.observer = DisturbanceObserver(self.config.disturbance, self.vehicle)
+        if self.estimate_gate.filter.health != believed:
+            self._restart_observer()
         given = self.estimate_gate.accepted
         check.overridden = override is not None
         if check.began_ns is not None:
@@ -459,10 +464,14 @@ class Controller:
             self._vertical.depth_limits.update(estimate)
             if check.learns:
                 self.vehicle_file_check.add(given)
+            late_ns, were_late = round(self.vehicle_file_check.late_s * 1e9), self.vehicle_file_check.stamps_are_late
+            estimate = msgspec.structs.replace(estimate, t_ns=estimate.t_ns - late_ns) if late_ns else estimate
             estimate = self.observer.correct(estimate, self.prediction, learns=check.learns)
             self.prediction.coefficients[:] = self.observer.coefficients
             other = self.observer.in_waves or self.estimate_gate.filter.health is not NOMINAL
-            self.vehicle_file_check.update(estimate.t_ns, bounded=self.observer.is_bounded, other_cause=other)
+            self.vehicle_file_check.update(given.t_ns, bounded=self.observer.is_bounded, other_cause=other)
+            if self.vehicle_file_check.stamps_are_late is not were_late:
+                self._restart_observer(self.vehicle_file_check.fit.of_observer)
         own = self.estimate_gate.health(now_ns)
         if estimate is not None and own.health is Health.DEGRADED:
             bias = self.observer.covariance_of_mean((now_ns - estimate.t_ns) * 1e-9)

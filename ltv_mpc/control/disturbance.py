@@ -151,8 +151,15 @@ def velocity_change_variance(before: float, after: float, seconds: float) -> flo
 class DisturbanceObserver:
     """Observer of the current's bias, the lever arm and the model, updated from estimate to estimate."""
 
-    def __init__(self, settings: Disturbance, vehicle: Vehicle) -> None:
-        """Begin at the prior; with a standard deviation of 0 there never is a bias, an arm, or another model."""
+    def __init__(self, settings: Disturbance, vehicle: Vehicle, mean: Array | None = None) -> None:
+        """Begin at the prior; with a standard deviation of 0 there never is a bias, an arm, or another model.
+
+        Parameters
+        ----------
+        settings : [controller.disturbance].
+        vehicle : from its file.
+        mean : (12,) states to begin with; None: those of the file in still water.
+        """
         self._settings = settings
         top_mps = path_limits(vehicle).top_mps
         noise_mps = settings.noise_mps or NOISE_SHARE * top_mps
@@ -171,7 +178,7 @@ class DisturbanceObserver:
         walks[MODEL:] = MODEL_WALK_PER_RTS**2 * learns_model
         walks[-1] = (MOMENT_WALK_PER_RTS * turning_radps2) ** 2
         self._prior_and_walks = sd**2, walks
-        self._belief: Belief = np.zeros(STATES), np.diag(sd**2)
+        self._belief: Belief = np.zeros(STATES) if mean is None else mean * (sd > 0.0), np.diag(sd**2)
         # Noise, as ``update_belief`` takes it; and the model's error (m/s^2): mean ahead, to starboard, largest.
         self._track = np.zeros((SIZE + 1, 3))
         self._last: tuple[Estimate, Estimate] | None = None  # as it was given, and with filtered velocities

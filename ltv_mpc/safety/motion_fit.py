@@ -289,6 +289,11 @@ class MotionFit:
         return self._new in TESTED and self.segments is not None
 
     @property
+    def of_observer(self) -> Array:
+        """Most likely states (12,) of the disturbance observer."""
+        return np.concatenate([self.x[:2], self.x[ARM:DELAY]])
+
+    @property
     def record(self) -> Record:
         """Record that the last step explains, not copied."""
         K = len(self._motion) if self.segments is None else len(self.segments.cosines)

@@ -40,7 +40,9 @@ BOUNDED = "the learned current is at its bound"
 SLIP = "it looks as if"
 
 LATE = "the estimates are older than their stamps"
-STAMP_WHEN_MEASURED = "stamp each with the time at which its state was measured, not with that of its arrival"
+STAMP_WHEN_MEASURED = (
+    "taken for that old; stamp each with the time at which its state was measured, not with that of its arrival"
+)
 OR_THRUSTERS = f"{STAMP_WHEN_MEASURED}; or the thrusters answer so much later than lag_s says, and report nothing"
 
 FACTORS = ("mass ahead", 1.25), None, ("moment of inertia", 1.5), ("drag ahead", 1.4), None, ("drag in yaw", 1.25)
@@ -76,6 +78,11 @@ class VehicleFileCheck:
         """True while the alarm is that of late stamps: the motion then says nothing of the thrust, either."""
         return LATE in self.why
 
+    @property
+    def late_s(self) -> float:
+        """Age of the estimates beyond their stamps that is named (s); 0 if none is."""
+        return self._late_s if self.stamps_are_late else 0.0
+
     def add(self, estimate: Estimate) -> None:
         """Add an estimate to the fit.
 
@@ -103,14 +110,17 @@ class VehicleFileCheck:
         if fit.certain[DELAY] > 0.0 and delay_s > MIN_DELAY_S:
             self._late_s = round(delay_s, 1) if abs(delay_s - self._late_s) > 0.1 else self._late_s
             what = STAMP_WHEN_MEASURED if fit.reported_ns else OR_THRUSTERS
-            errors = {LATE: f"{LATE} by about {self._late_s:.1f} s: {what}"}
+            errors[LATE] = f"{LATE} by about {self._late_s:.1f} s: {what}"
         if self._slips.found:
-            errors = {SLIP: f"{SLIP} {self._slips.found}: check the installation"}
+            errors[SLIP] = f"{SLIP} {self._slips.found}: check the installation"
         before = self._since_ns
         self._since_ns = {name: min(before.get(name, t_ns), t_ns) for name in errors}
         lasting = [name for name, since_ns in self._since_ns.items() if t_ns - since_ns >= CONFIRMED_S * 1e9]
+        others = {LATE, SLIP} & errors.keys()  # with either, no other error means anything
+        if others:
+            lasting = [name for name in (SLIP, LATE) if name in lasting][:1]
         self.why = "; ".join(errors[name] for name in lasting)
-        why = self.why if {LATE, SLIP} & set(lasting) else "; ".join(lasting)  # these keep their values for long
+        why = self.why if others else "; ".join(lasting)  # these keep their values for long
         self.health = HealthState(Health.DEGRADED, why) if lasting else NOMINAL
 
 
