@@ -87,10 +87,21 @@ def test_late_stamps_are_named_with_the_delay_and_nothing_that_they_explain():
     assert check.health.health == "degraded"
     assert check.stamps_are_late
     for text in (check.why, check.health.why):
-        assert "older than their stamps by about 0.5 s: stamp each with the time" in text
+        assert "older than their stamps by about 0.5 s: taken for that old; stamp each with the time" in text
         assert "mass" not in text
         assert "reference_point" not in text
         assert "thrusters" not in text
+
+
+def test_the_named_delay_is_in_use_until_the_alarm_ends_also_while_a_slip_is_suspected():
+    check = checked(NO_ARM, {}, 0.52)
+    assert check.late_s == 0.5
+    check._slips = SimpleNamespace(found="north and east are swapped")
+    check.update(21 * S)
+    assert check.late_s == 0.5
+    check.update(31 * S)
+    assert "north and east are swapped" in check.why
+    assert check.late_s == 0.0
 
 
 def test_while_waves_carry_the_vehicle_late_stamps_are_named_and_the_file_is_not():
