@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import math
 import operator
+import re
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from functools import cache, lru_cache
 from typing import Any, NamedTuple, TypeAlias
@@ -37,6 +39,27 @@ from ltv_mpc.messages import (
 
 Reason: TypeAlias = str | None
 Validator: TypeAlias = Callable[[Any], Reason]
+
+
+VALUES = re.compile(r"[:=(0-9]")
+"""Start of the values in a reason."""
+
+MAX_KINDS = 100
+"""Largest number of kinds that are counted separately: the sender chooses the name of an unknown field."""
+
+
+class ReasonCounts(Counter[str]):
+    """Counts of reasons by their kind, which is the text before the values."""
+
+    def add(self, reason: str) -> None:
+        """Count a reason.
+
+        Parameters
+        ----------
+        reason : why something was rejected.
+        """
+        kind = VALUES.split(reason, maxsplit=1)[0].strip()
+        self[kind if kind in self or len(self) < MAX_KINDS else "other"] += 1
 
 
 class Bounds(NamedTuple):

@@ -35,15 +35,12 @@ import numpy as np
 
 from ltv_mpc.control.config import Disturbance
 from ltv_mpc.control.disturbance_filter import ARM, CURRENT, MODEL, STATES, adapted, propagate, update_belief
-from ltv_mpc.control.prediction import Prediction, currents_at_depths
+from ltv_mpc.control.prediction import STILL_WATER, Prediction, currents_at_depths, profile_of
 from ltv_mpc.control.wave_filter import BAND_RADPS, INNOVATION, MOST, MOVED, NIS, SIZE, SQUARE
-from ltv_mpc.messages import Array, CurrentProfile, DisturbanceState, Estimate
+from ltv_mpc.messages import Array, DisturbanceState, Estimate
 from ltv_mpc.references.limits import path_limits
 from ltv_mpc.vehicle.parameters import Vehicle
 from ltv_mpc.vehicle.reference_point import ReferencePoint
-
-STILL_WATER = CurrentProfile(depth_m=np.zeros(1), north_mps=np.zeros(1), east_mps=np.zeros(1))
-"""Profile that the bias is added to if the estimate has none."""
 
 DEFAULT_SD_MPS = 0.15
 """Prior standard deviation of the bias if the estimates have no current profile (m/s). A tighter one makes a lever arm
@@ -409,8 +406,7 @@ class DisturbanceObserver:
 
     def _update(self, last: Estimate, estimate: Estimate, prediction: Prediction) -> Estimate:
         """Update the belief with the change from the last estimate, and return the newest with filtered velocities."""
-        profile = last.current or STILL_WATER
-        later = profile if last.current is None else estimate.current or profile
+        later = last.current and (estimate.current or last.current)
         seconds = (estimate.t_ns - last.t_ns) * 1e-9
         s2 = velocity_change_variance(velocity_variance(last), velocity_variance(estimate), seconds)
         north, east, yaw_rate = _motion(estimate)
@@ -420,7 +416,7 @@ class DisturbanceObserver:
             self._file,
             prediction.measured(last),
             prediction.delivered,
-            ((profile.depth_m, profile.north_mps, profile.east_mps), (later.depth_m, later.north_mps, later.east_mps)),
+            (profile_of(last.current), profile_of(later)),
             (self._noise[0] + s2, *self._noise[1:], self._settings.sd_mps != 0),
             self._track,
         )

@@ -20,7 +20,7 @@ from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.dynamics import coefficients
 from ltv_mpc.vehicle.flow import STATES, advance_stage, lag_table
 from ltv_mpc.vehicle.parameters import Coefficients
-from ltv_mpc.vehicle.sensitivity import SCRATCH, linearise_stage, thrust_gains
+from ltv_mpc.vehicle.sensitivity import SCRATCH, read, thrust_gains
 
 
 class Linearisation(NamedTuple):
@@ -110,9 +110,8 @@ def linearise_along(lin: Linearisation, t: Array, stage_s: float, flat: Array) -
         if h != before:
             lag = lag_table(h, p)
             gain = thrust_gains(lag, p)
-        linearise_stage(
-            X[k], U[k], U[k + 1], C[k], C[k + 1], h, p, lag, gain, Z, lin.Phi[k], lin.A[k], lin.B0[k], lin.B1[k]
-        )
+        advance_stage(X[k], U[k], U[k + 1], C[k], C[k + 1], h, p, lag, lin.Phi[k], gain, Z)
+        read(Z, lag[-1], lin.A[k], lin.B0[k], lin.B1[k])
 
 
 def linearise(X: Array, U: Array, C: Array, h: float, p: Coefficients) -> Linearisation:

@@ -170,7 +170,8 @@ MAX_REPORTS = 32
 The one before the estimate in use is kept beside them.
 """
 
-NO_PROFILE = CurrentProfile(depth_m=np.empty(0), north_mps=np.empty(0), east_mps=np.empty(0))
+STILL_WATER = CurrentProfile(depth_m=np.zeros(1), north_mps=np.zeros(1), east_mps=np.zeros(1))
+"""Profile of an estimate that has none."""
 
 
 class Start(NamedTuple):
@@ -217,8 +218,14 @@ ground (m/s), depth (m, NaN: none), sinking speed (m/s); time of the report (ns)
 
 Profile: TypeAlias = tuple[Array, Array, Array]
 """Current over depth: depths (K,) in increasing order (m), north and east (K,) (m/s). Linear between the depths,
-constant beyond; no current if K is 0.
+constant beyond.
 """
+
+
+def profile_of(current: CurrentProfile | None) -> Profile:
+    """Return the arrays of an estimate's profile; those of still water if it has none."""
+    known = current or STILL_WATER
+    return known.depth_m, known.north_mps, known.east_mps
 
 
 def currents_at_depths(profile: CurrentProfile | None, depth_m: Array) -> Array:
@@ -233,12 +240,8 @@ def currents_at_depths(profile: CurrentProfile | None, depth_m: Array) -> Array:
     -------
     (M, 2) current, north and east (m/s).
     """
-    if profile is None:
-        return np.zeros((len(depth_m), 2))
-    currents = np.empty((len(depth_m), 2))
-    currents[:, 0] = np.interp(depth_m, profile.depth_m, profile.north_mps)
-    currents[:, 1] = np.interp(depth_m, profile.depth_m, profile.east_mps)
-    return currents
+    depth, north, east = profile_of(profile)
+    return np.column_stack([np.interp(depth_m, depth, north), np.interp(depth_m, depth, east)])
 
 
 class Prediction:
@@ -288,14 +291,8 @@ class Prediction:
         t_ns : time of the state, vehicle time (ns); at least the estimate's own time is taken.
         """
         t_ns = max(t_ns, estimate.t_ns)
-        profile = profile_of(estimate)
-        end = predict_state(
-            self.coefficients,
-            self.measured(estimate),
-            t_ns,
-            self.delivered,
-            (profile.depth_m, profile.north_mps, profile.east_mps),
-        )
+        profile = profile_of(estimate.current)
+        end = predict_state(self.coefficients, self.measured(estimate), t_ns, self.delivered, profile)
         return Start(t_ns, end[:10], *end[10:].tolist())
 
     def measured(self, estimate: Estimate) -> Measured:
@@ -332,14 +329,9 @@ class Prediction:
         return t, thrust * self._shares
 
 
-def profile_of(estimate: Estimate) -> CurrentProfile:
-    """Return the estimate's current profile; one without depths, which means no current, if it has none."""
-    return NO_PROFILE if estimate.current is None else estimate.current
-
-
 @jit
 def current_at_depth(depth: Array, north: Array, east: Array, z: float) -> tuple[float, float]:
-    """Return the current at one depth: linear between the profile's depths, constant beyond, zero without a profile.
+    """Return the current at one depth: linear between the profile's depths, constant beyond.
 
     Parameters
     ----------
@@ -451,7 +443,7 @@ def growth_m(prediction: Prediction, estimate: Estimate, t_ns: int, bias_covaria
     """
     since_ns, state, report_ns, thrust_N = prediction.measured(estimate)
     times, commanded_N = prediction.delivered
-    profile = profile_of(estimate)
+    depth, north, east = profile_of(estimate.current)
 
     def _position(state: Array = state, current: tuple[float, float] = (0.0, 0.0), gain: Array | float = 1.0) -> Array:
         return predict_state(
@@ -459,7 +451,7 @@ def growth_m(prediction: Prediction, estimate: Estimate, t_ns: int, bias_covaria
             (since_ns, state, report_ns, thrust_N * gain),
             max(t_ns, since_ns),
             (times, commanded_N * gain),
-            (profile.depth_m, profile.north_mps + current[0], profile.east_mps + current[1]),
+            (depth, north + current[0], east + current[1]),
         )[:2]
 
     at = _position()
@@ -469,7 +461,7 @@ def growth_m(prediction: Prediction, estimate: Estimate, t_ns: int, bias_covaria
         gain[thruster] += THRUST_SD
         d = _position(gain=gain) - at
         variance += float(d @ d)
-    Pb = _current_variance(profile, estimate.depth_m) * np.eye(2) + bias_covariance
+    Pb = _current_variance(estimate) * np.eye(2) + bias_covariance
     if Pb.any():
         B = np.array([_position(current=(STEP, 0.0)) - at, _position(current=(0.0, STEP)) - at]).T / STEP
         variance += float(np.trace(B @ Pb @ B.T))
@@ -481,9 +473,10 @@ def growth_m(prediction: Prediction, estimate: Estimate, t_ns: int, bias_covaria
     return math.sqrt(variance) - math.sqrt(float(P0[0, 0] + P0[1, 1]))
 
 
-def _current_variance(profile: CurrentProfile, depth_m: float | None) -> float:
-    """Return the variance of either component of a profile at a depth (m^2/s^2); 0 if it is not known."""
-    if profile.sd_mps is None:
+def _current_variance(estimate: Estimate) -> float:
+    """Return the variance of either component of the profile at the vehicle (m^2/s^2); 0 if it is not known."""
+    profile = estimate.current
+    if profile is None or profile.sd_mps is None:
         return 0.0
-    sd_mps, _ = current_at_depth(profile.depth_m, profile.sd_mps, profile.sd_mps, depth_m or 0.0)
+    sd_mps, _ = current_at_depth(profile.depth_m, profile.sd_mps, profile.sd_mps, estimate.depth_m or 0.0)
     return sd_mps * sd_mps

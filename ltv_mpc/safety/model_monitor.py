@@ -52,7 +52,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ltv_mpc.control.disturbance import Belief, velocity_change_variance, velocity_variance
-from ltv_mpc.control.prediction import current_at_depth
+from ltv_mpc.control.prediction import current_at_depth, profile_of
 from ltv_mpc.messages import Applied, Array, Estimate, ModelCheck, Pair
 from ltv_mpc.safety.motion_fit import ThrustImpulse
 from ltv_mpc.safety.thrust_loss_detector import Row, ThrustLossDetector
@@ -217,11 +217,11 @@ class ModelMonitor:
     def _motion(self, e: Estimate, learned: Belief | None) -> _Motion | None:
         """Return the motion of an estimate; None without reports up to its time or without any current."""
         impulse = self._impulse.until(e.t_ns)
-        profile, learned_sd = e.current, None
+        learned_sd = None
         if impulse is None:
             return None
-        if profile is not None:
-            cn, ce = current_at_depth(profile.depth_m, profile.north_mps, profile.east_mps, e.depth_m or 0.0)
+        if e.current is not None:
+            cn, ce = current_at_depth(*profile_of(e.current), e.depth_m or 0.0)
         elif learned is not None:
             cn, ce = learned[0].tolist()
             learned_sd = math.sqrt(0.5 * float(np.trace(learned[1])))

@@ -274,8 +274,7 @@ class MotionFit:
             return False
         if passed_s > MAX_INTERVAL_S or t >= self._begin_s + SEGMENT_S:
             self._begin_s, segment = t, segment + 1.0
-        profile = profile_of(estimate)
-        water = current_at_depth(profile.depth_m, profile.north_mps, profile.east_mps, estimate.depth_m or 0.0)
+        water = current_at_depth(*profile_of(estimate.current), estimate.depth_m or 0.0)
         over_ground = estimate.velocity_north_mps, estimate.velocity_east_mps
         heading, position = estimate.heading_rad, (estimate.north_m, estimate.east_m)
         row = t, *over_ground, heading, estimate.yaw_rate_radps, *water, segment, *position

@@ -19,8 +19,9 @@ import numpy as np
 
 from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array
-from ltv_mpc.vehicle.dynamics import heave_acceleration, rates
+from ltv_mpc.vehicle.dynamics import heave_acceleration, rates, slopes
 from ltv_mpc.vehicle.parameters import Coefficients
+from ltv_mpc.vehicle.sensitivity import COLUMNS, GAIN, STATE, SUM, add_slope
 
 STATES = 8
 """Number of states: n, e, u, v, psi, r, and the two delivered lateral thrusts."""
@@ -98,9 +99,19 @@ def delivered(lag: Array, m: int, X: Array, u0: Array, uh: Array) -> tuple[float
 
 @jit
 def advance_stage(
-    X: Array, u0: Array, uh: Array, c0: Array, ch: Array, h: float, p: Coefficients, lag: Array, out: Array
+    X: Array,
+    u0: Array,
+    uh: Array,
+    c0: Array,
+    ch: Array,
+    h: float,
+    p: Coefficients,
+    lag: Array,
+    out: Array,
+    gain: Array | None = None,
+    Z: Array | None = None,
 ) -> None:
-    """Write out = flow(X, u(0), u(h)) over one stage.
+    """Write out = flow(X, u(0), u(h)) over one stage, and on request its sensitivities.
 
     Parameters
     ----------
@@ -111,40 +122,48 @@ def advance_stage(
     p : coefficients of the vehicle.
     lag : ``lag_table(h, p)``, which stages of one length share.
     out : (8,) output, the state at the end.
+    gain : ``thrust_gains(lag, p)`` (``sensitivity.py``), with Z.
+    Z : (SCRATCH,) is overwritten with the sensitivities; None: without them.
     """
     steps = (len(lag) - 1) // 2
     d = h / steps
     crn, cre = (ch[0] - c0[0]) / h, (ch[1] - c0[1]) / h
     n, e, u, v, psi, r = X[0], X[1], X[2], X[3], X[4], X[5]
-    F1, F2 = X[6], X[7]
+    before = -1
+    F1 = F2 = 0.0
+    if Z is not None:
+        Z[:] = 0.0
+        for i in range(4):
+            Z[STATE + COLUMNS * i + i] = 1.0
     for i in range(steps):
-        kn = ke = ku = kv = kpsi = kr = 0.0  # the slope before, along which the next one is evaluated
+        ku = kv = kpsi = kr = 0.0  # the slope before, along which the next one is evaluated
         sn = se = su = sv = spsi = sr = 0.0  # the weighted sum of the slopes
         for node in range(4):
             part, weight, ahead = runge_kutta(node, d)
             t = i * d + ahead
-            if node != 2:  # the third slope is evaluated at the instant of the second
-                F1, F2 = delivered(lag, 2 * i + (node + 1) // 2, X, u0, uh)
-            kn, ke, ku, kv, kpsi, kr = rates(
-                u + part * ku,
-                v + part * kv,
-                psi + part * kpsi,
-                r + part * kr,
-                F1,
-                F2,
-                c0[0] + crn * t,
-                c0[1] + cre * t,
-                crn,
-                cre,
-                p,
-            )
+            m = 2 * i + (node + 1) // 2
+            # the two slopes in the middle share an instant, and so do the end of a step and the start of the next
+            if m != before:
+                before = m
+                F1, F2 = delivered(lag, m, X, u0, uh)
+                if gain is not None and Z is not None:
+                    for j in range(2 * COLUMNS):
+                        Z[GAIN + j] = gain[m, j]
+            un, vn, psin, rn = u + part * ku, v + part * kv, psi + part * kpsi, r + part * kr
+            kn, ke, ku, kv, kpsi, kr = rates(un, vn, psin, rn, F1, F2, c0[0] + crn * t, c0[1] + cre * t, crn, cre, p)
             sn += weight * kn
             se += weight * ke
             su += weight * ku
             sv += weight * kv
             spsi += weight * kpsi
             sr += weight * kr
+            if Z is not None:
+                add_slope(slopes(un, vn, psin, rn, crn, cre, p), part, weight, Z)
         n, e, u, v, psi, r = n + sn, e + se, u + su, v + sv, psi + spsi, r + sr
+        if Z is not None:
+            for j in range(4 * COLUMNS):
+                Z[STATE + j] += Z[SUM + j]
+                Z[SUM + j] = 0.0
     out[0], out[1], out[2], out[3], out[4], out[5], out[6], out[7] = n, e, u, v, psi, r, F1, F2
 
 

@@ -6,7 +6,8 @@ X = [n, e, u, v, psi, r, F1, F2], commands and current as in ``flow.py``. With X
 
 Columns S = d[n, e, u, v, psi, r] / d[u, v, psi, r, F1(0), F2(0), u1(0), u2(0), u1(h), u2(h)] follow
     S' = df/dx S + df/dF dF/d(.),   dF/d(.) = a, b0, b1 of the lag
-with the Runge-Kutta steps of the flow, so A, B0, B1 are the exact derivatives of the flow as it is computed.
+with the Runge-Kutta steps of the flow (``flow.advance_stage``), so A, B0, B1 are the exact derivatives of the flow as
+it is computed.
 
 This is a third of the arithmetic of a control cycle. All rows are in one flat array at constant distances: only then
 the compiler can prove that they do not overlap, and it vectorises over columns (three times faster). The kernels take
@@ -19,8 +20,7 @@ import numpy as np
 
 from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array
-from ltv_mpc.vehicle.dynamics import Slopes, rates, slopes
-from ltv_mpc.vehicle.flow import delivered, runge_kutta
+from ltv_mpc.vehicle.dynamics import Slopes
 from ltv_mpc.vehicle.parameters import Coefficients
 
 COLUMNS = 12
@@ -50,79 +50,15 @@ def thrust_gains(lag: Array, p: Coefficients) -> Array:
 
 
 @jit
-def linearise_stage(
-    X: Array,
-    u0: Array,
-    uh: Array,
-    c0: Array,
-    ch: Array,
-    h: float,
-    p: Coefficients,
-    lag: Array,
-    gain: Array,
-    Z: Array,
-    out: Array,
-    A: Array,
-    B0: Array,
-    B1: Array,
-) -> None:
-    """Write the flow over one stage and its sensitivities.
+def add_slope(f: Slopes, part: float, weight: float, Z: Array) -> None:
+    """Add one slope of S with its weight, evaluated ``part`` along the one before: S' = df/dx S + df/dF dF/d(.).
 
     Parameters
     ----------
-    X : (8,) state at the start.
-    u0, uh : (2,) commands at the start and the end (N).
-    c0, ch : (2,) current at the start and the end, north and east (m/s).
-    h : length of the stage (s).
-    p : coefficients of the vehicle.
-    lag : ``lag_table(h, p)``.
-    gain : ``thrust_gains(lag, p)``.
-    Z : (SCRATCH,) scratch, overwritten.
-    out : (8,) output, the state at the end.
-    A, B0, B1 : (8, 8), (8, 2), (8, 2) outputs, the sensitivities.
+    f : derivatives of the rates.
+    part, weight : of the Runge-Kutta slope.
+    Z : (SCRATCH,) scratch.
     """
-    steps = (len(lag) - 1) // 2
-    d = h / steps
-    crn, cre = (ch[0] - c0[0]) / h, (ch[1] - c0[1]) / h
-    n, e, u, v, psi, r = X[0], X[1], X[2], X[3], X[4], X[5]
-    Z[:] = 0.0
-    for i in range(4):
-        Z[STATE + COLUMNS * i + i] = 1.0
-    before = -1
-    F1 = F2 = 0.0
-    for i in range(steps):
-        ku = kv = kpsi = kr = 0.0
-        sn = se = su = sv = spsi = sr = 0.0
-        for node in range(4):
-            part, weight, ahead = runge_kutta(node, d)
-            t = i * d + ahead
-            m = 2 * i + (node + 1) // 2
-            # the two slopes in the middle share an instant, and so do the end of a step and the start of the next
-            if m != before:
-                before = m
-                F1, F2 = delivered(lag, m, X, u0, uh)
-                for j in range(2 * COLUMNS):
-                    Z[GAIN + j] = gain[m, j]
-            un, vn, psin, rn = u + part * ku, v + part * kv, psi + part * kpsi, r + part * kr
-            kn, ke, ku, kv, kpsi, kr = rates(un, vn, psin, rn, F1, F2, c0[0] + crn * t, c0[1] + cre * t, crn, cre, p)
-            sn += weight * kn
-            se += weight * ke
-            su += weight * ku
-            sv += weight * kv
-            spsi += weight * kpsi
-            sr += weight * kr
-            _slope(slopes(un, vn, psin, rn, crn, cre, p), part, weight, Z)
-        n, e, u, v, psi, r = n + sn, e + se, u + su, v + sv, psi + spsi, r + sr
-        for j in range(4 * COLUMNS):
-            Z[STATE + j] += Z[SUM + j]
-            Z[SUM + j] = 0.0
-    out[0], out[1], out[2], out[3], out[4], out[5], out[6], out[7] = n, e, u, v, psi, r, F1, F2
-    _read(Z, lag[2 * steps], A, B0, B1)
-
-
-@jit
-def _slope(f: Slopes, part: float, weight: float, Z: Array) -> None:
-    """Add one slope of S with its weight, evaluated ``part`` along the one before: S' = df/dx S + df/dF dF/d(.)."""
     for j in range(COLUMNS):
         su = Z[STATE + j] + part * Z[STEP + j]
         sv = Z[STATE + COLUMNS + j] + part * Z[STEP + COLUMNS + j]
@@ -145,8 +81,15 @@ def _slope(f: Slopes, part: float, weight: float, Z: Array) -> None:
 
 
 @jit
-def _read(Z: Array, w: Array, A: Array, B0: Array, B1: Array) -> None:
-    """Write A, B0, B1 from S and the lag at the end of the stage."""
+def read(Z: Array, w: Array, A: Array, B0: Array, B1: Array) -> None:
+    """Write A, B0, B1 from S and the lag at the end of the stage.
+
+    Parameters
+    ----------
+    Z : (SCRATCH,) scratch.
+    w : (2, 3) last row of ``lag_table``.
+    A, B0, B1 : (8, 8), (8, 2), (8, 2) outputs.
+    """
     A[:, :] = 0.0
     B0[:, :] = 0.0
     B1[:, :] = 0.0

@@ -7,10 +7,9 @@ checked separately. On all other keys one source publishes at a time.
 from __future__ import annotations
 
 import base64
-import re
-from collections import Counter
 
 from ltv_mpc.messages import Estimate, Message, Plan, RejectedFrame
+from ltv_mpc.validation import ReasonCounts
 from services.bus.mailbox import Frame
 from services.bus.rate_limit import RateLimit
 from services.bus.sequence_check import SequenceCheck, silence_us
@@ -19,14 +18,6 @@ from services.bus.wire import Header, WireError, crc, message_at, unpack
 
 MAX_SHOWN_BYTES = 3072
 """Largest part of a rejected payload that is reported; 4 KiB as base64."""
-
-VALUES = re.compile(r"[:=(0-9]")
-"""Start of the values in a reason. The text before is the kind of reason, by which rejections are counted."""
-
-MAX_REASONS = 200
-"""Largest number of kinds of reasons that are counted separately: the sender chooses the name of an unknown field."""
-
-OTHER = "other"
 
 SHARED: frozenset[type[Message]] = frozenset({Plan, Estimate})
 """Types whose reader chooses among several sources: the actuators' gate, and the controller."""
@@ -43,7 +34,7 @@ class MessageValidator:
         """``rate_limit``: of the frames that are decoded; None: all of them."""
         self.received = 0  # accepted messages
         self._rate_limit = rate_limit
-        self.rejected_by_reason: Counter[str] = Counter()
+        self.rejected_by_reason = ReasonCounts()
         self._order = SequenceCheck()
 
     @property
@@ -69,7 +60,7 @@ class MessageValidator:
             message, header = message_at(frame.topic, frame.key, unpack(frame.payload))
             self.check_order(frame.topic, frame.key, header, frame.received_monotonic_us)
         except WireError as error:
-            self._count(str(error))
+            self.rejected_by_reason.add(str(error))
             raise
         self.received += 1
         return message, header
@@ -83,12 +74,7 @@ class MessageValidator:
     def reject(self, reason: str) -> None:
         """Count the message accepted last as rejected: its reader found that it contradicts what the reader knows."""
         self.received -= 1
-        self._count(reason)
-
-    def _count(self, reason: str) -> None:
-        kind = VALUES.split(reason, maxsplit=1)[0].strip()
-        known = kind in self.rejected_by_reason or len(self.rejected_by_reason) < MAX_REASONS
-        self.rejected_by_reason[kind if known else OTHER] += 1
+        self.rejected_by_reason.add(reason)
 
 
 def rejection(frame: Frame, reason: str, *, node: str, t_ns: int) -> RejectedFrame:

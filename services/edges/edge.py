@@ -13,13 +13,12 @@ the edge returns. ``docs/edges.md`` builds an edge with it.
 from __future__ import annotations
 
 import abc
-import re
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Iterable
 from typing import ClassVar, NamedTuple, TypeAlias
 
 from ltv_mpc.messages import Estimate, Message, Plan
-from ltv_mpc.validation import rejection_reason
+from ltv_mpc.validation import ReasonCounts, rejection_reason
 from services.edges.plan_follower import PlanFollower
 
 WINDOW_US = 30_000_000
@@ -30,11 +29,8 @@ MAX_STAMP_NS = 2_147_000_000 * 10**9
 MAX_AHEAD_NS, AHEAD_US = 2 * 10**9, 1_000_000
 """A stamp further ahead of the clock is wrong, until stamps have stayed ahead for this time: the clock was set."""
 
-VALUES = re.compile(r"[:=(0-9]")
-"""Start of the values in a reason. The text before it is the kind of reason, by which refusals are counted."""
-
-MAX_REASONS = 100
-"""Largest number of kinds of reasons that are counted separately."""
+MAX_SENDERS = 100
+"""Largest number of senders whose losses are counted."""
 
 
 class Refused(ValueError):
@@ -122,7 +118,7 @@ class Edge(abc.ABC):
         self.plans = PlanFollower()
         self.accepted = 0  # foreign frames
         self.lost = 0  # foreign frames that were sent and have not arrived, as far as their numbers show
-        self.refused_by_reason: Counter[str] = Counter()
+        self.refused_by_reason = ReasonCounts()
         self.reason = ""  # of the last refusal
         self.idle = ""
         """Why the edge does not drive, a sentence; empty if it does."""
@@ -157,9 +153,7 @@ class Edge(abc.ABC):
     def refuse(self, refusal: Refused) -> None:
         """Count a refused foreign frame."""
         self.reason = str(refusal)
-        kind = VALUES.split(self.reason, maxsplit=1)[0].strip()
-        known = kind in self.refused_by_reason or len(self.refused_by_reason) < MAX_REASONS
-        self.refused_by_reason[kind if known else "other"] += 1
+        self.refused_by_reason.add(self.reason)
 
     def command_id(self) -> int:
         """Return a new identifier for a ``Command``."""
@@ -205,7 +199,7 @@ class LossCounter:
     def add(self, sender: object, number: int) -> bool:
         """Add a received frame. Return False if it is a duplicate."""
         if sender not in self._newest:
-            if len(self._newest) < MAX_REASONS:  # more are senders that nobody expects
+            if len(self._newest) < MAX_SENDERS:  # more are senders that nobody expects
                 self._newest[sender], self._missing[sender] = number, deque(maxlen=self._limit // 2)
             return True
         newest, missing = self._newest[sender], self._missing[sender]

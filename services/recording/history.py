@@ -60,25 +60,29 @@ class Part(msgspec.Struct):
     """number to ask for next; None: that was all"""
 
 
-class _Entry(NamedTuple):
-    number: int  # of its arrival, among all messages
+class Entry(NamedTuple):
+    """Message that is kept."""
+
     t_ns: int
-    payload: bytes
+    number: int = 0  # of its arrival, among all messages
+    payload: bytes = b""
 
 
-class _Samples:
-    """Messages of one key, the first of each period."""
+class Samples:
+    """Messages of one source, the first of each ``period_ns``, which doubles to keep fewer than ``2 * limit``."""
 
-    def __init__(self) -> None:
-        self.kept: list[_Entry] = []
-        self._period_ns = FIRST_PERIOD_NS
+    def __init__(self, period_ns: int, limit: int) -> None:
+        self.kept: list[Entry] = []
+        self._period_ns, self._limit = period_ns, limit
 
     def is_due(self, t_ns: int) -> bool:
+        """Return True if a message of this time is the first of its period."""
         return not self.kept or t_ns // self._period_ns != self.kept[-1].t_ns // self._period_ns
 
-    def add(self, entry: _Entry) -> None:
+    def add(self, entry: Entry) -> None:
+        """Add a message that is due."""
         self.kept.append(entry)
-        if len(self.kept) < 2 * LIMIT:
+        if len(self.kept) < 2 * self._limit:
             return
         self._period_ns *= 2
         kept, self.kept = self.kept, []
@@ -93,8 +97,8 @@ class History:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._number = 0
-        self._samples: dict[tuple[str, type[Message]], _Samples] = {}
-        self._events: dict[tuple[str, type[Message]], deque[_Entry]] = {}
+        self._samples: dict[tuple[str, type[Message]], Samples] = {}
+        self._events: dict[tuple[str, type[Message]], deque[Entry]] = {}
 
     def add(self, key: str, kind: type[Message], message: Mapping[str, Any]) -> None:
         """Add a message as it is recorded: the plain map of its frame."""
@@ -103,18 +107,18 @@ class History:
             if kind in EVENTS:
                 limit = 1 if kind in REPEATED else LIMIT
                 events = self._events.setdefault((key, kind), deque(maxlen=limit))
-                events.append(_Entry(self._number, 0, pack(message)))
+                events.append(Entry(0, self._number, pack(message)))
             elif kind in TIMES and isinstance(t_ns := message.get(TIMES[kind]), int):
-                samples = self._samples.setdefault((key, kind), _Samples())
+                samples = self._samples.setdefault((key, kind), Samples(FIRST_PERIOD_NS, LIMIT))
                 if samples.is_due(t_ns):
-                    samples.add(_Entry(self._number, t_ns, pack(_shortened(kind, message))))
+                    samples.add(Entry(t_ns, self._number, pack(_shortened(kind, message))))
 
     def reply(self, first: int) -> bytes:
         """Return the messages from number ``first`` on, as an encoded ``Part`` of about ``REPLY_BYTES``."""
         part = Part([], None)
         size = 0
         with self._lock:
-            for key, (number, _, payload) in self._from(first):
+            for key, (_, number, payload) in self._from(first):
                 if size > REPLY_BYTES:
                     part.next = number
                     break
@@ -122,9 +126,9 @@ class History:
                 size += len(payload)
         return msgspec.msgpack.encode(part)
 
-    def _from(self, first: int) -> Iterator[tuple[str, _Entry]]:
+    def _from(self, first: int) -> Iterator[tuple[str, Entry]]:
         number = attrgetter("number")
-        kept: list[tuple[str, Sequence[_Entry]]] = [(key, events) for (key, _), events in self._events.items()]
+        kept: list[tuple[str, Sequence[Entry]]] = [(key, events) for (key, _), events in self._events.items()]
         kept += [(key, samples.kept) for (key, _), samples in self._samples.items()]
         later = [zip(repeat(key), islice(of, bisect_left(of, first, key=number), None)) for key, of in kept]
         return merge(*later, key=lambda pair: pair[1].number)

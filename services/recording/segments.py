@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -49,22 +49,12 @@ class SegmentWriter:
             self.lost += 1
             return
         self._unsafe += 1
-        try:
-            if writer.write_plain(key, kind, message, t_ns, crc):
-                self._unsafe = 0
-        except OSError as error:
-            self._give_up(writer, error)
+        self._attempt(writer, lambda: writer.write_plain(key, kind, message, t_ns, crc))
 
     def flush_if_due(self, *, now: bool = False) -> None:
         """Flush if it is due, or ``now``. Must also be called while no messages arrive."""
-        writer = self.segment
-        if writer is None:
-            return
-        try:
-            if writer.flush_if_due(now=now):
-                self._unsafe = 0
-        except OSError as error:
-            self._give_up(writer, error)
+        if (writer := self.segment) is not None:
+            self._attempt(writer, lambda: writer.flush_if_due(now=now))
 
     def news(self) -> list[str]:
         """Return the reports for the user since the last call."""
@@ -74,13 +64,9 @@ class SegmentWriter:
     def close(self) -> None:
         """Finish the file. Messages that the disk does not take are counted as lost."""
         writer, self.segment = self.segment, None
-        if writer is None:
-            return
-        try:
-            writer.close()
-        except OSError as error:
-            self._give_up(writer, error)
-        self._unsafe = 0
+        if writer is not None:
+            self._attempt(writer, writer.close)
+            self._unsafe = 0
 
     def __enter__(self) -> SegmentWriter:
         return self
@@ -109,11 +95,15 @@ class SegmentWriter:
         self._news.append(f"recording continues in {self.segment.path.name}")
         return self.segment
 
-    def _give_up(self, writer: RunWriter, error: OSError) -> None:
-        """Truncate the segment to its last successful flush, and retry later with the next one."""
-        writer.abandon()
-        self.segment = None
-        self._retry_s = time.monotonic() + RETRY_S
-        self.lost += self._unsafe
-        self._news.append(f"not recording: {error.strerror}; {self._unsafe} messages not recorded so far")
-        self._unsafe = 0
+    def _attempt(self, writer: RunWriter, write: Callable[[], bool | None]) -> None:
+        """Write to a segment. After an error it ends at its last successful flush; the next one is tried later."""
+        try:
+            if write():
+                self._unsafe = 0
+        except OSError as error:
+            writer.abandon()
+            self.segment = None
+            self._retry_s = time.monotonic() + RETRY_S
+            self.lost += self._unsafe
+            self._news.append(f"not recording: {error.strerror}; {self._unsafe} messages not recorded so far")
+            self._unsafe = 0

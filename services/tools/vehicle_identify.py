@@ -234,11 +234,8 @@ def _through_the_water(estimate: Estimate) -> tuple[Triple, Pair]:
 
     The rate is that along the descent, dc/dz w, from the current 0.5 m above and below.
     """
-    profile, depth_m = profile_of(estimate), estimate.depth_m or 0.0
-    (n0, e0), (cn, ce), (n1, e1) = (
-        current_at_depth(profile.depth_m, profile.north_mps, profile.east_mps, depth_m + off_m)
-        for off_m in (-0.5, 0.0, 0.5)
-    )
+    profile, depth_m = profile_of(estimate.current), estimate.depth_m or 0.0
+    (n0, e0), (cn, ce), (n1, e1) = (current_at_depth(*profile, depth_m + off_m) for off_m in (-0.5, 0.0, 0.5))
     cos, sin = np.cos(estimate.heading_rad), np.sin(estimate.heading_rad)
     north, east = estimate.velocity_north_mps - cn, estimate.velocity_east_mps - ce
     w = 0.0 if estimate.depth_m is None else estimate.velocity_down_mps or 0.0

@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks.robustness.cases import RIGHT, conditions
 from benchmarks.robustness.flights import Job, Row, judged
-from benchmarks.robustness.laws import DEFAULT, LQR, tuned_gains
+from benchmarks.robustness.laws import DEFAULT
 from benchmarks.strangers.flight import Conditions, fly, load
 
 WORSE, SHARE = 1.3, {"hold": 1.0, "square": 0.65}
@@ -70,16 +70,6 @@ def test_waves_carry_the_plant() -> None:
     carried = fly("light_boat", Ahead(0.0), conditions_in_still_water("waves_V=0.15"), duration_s=8.0)
     speeds = np.hypot(*carried.track[:, 3:5].T)
     assert speeds.max() == pytest.approx(0.15 * load("light_boat")[0].top_speed_mps(), rel=0.02)
-
-
-@pytest.mark.parametrize(
-    ("vehicle", "task", "most_m"), [("light_boat", "hold", 0.01), ("bluerobotics-boat", "square", 0.45)]
-)
-def test_lqr_flies_well_so_that_the_comparison_proves_something(vehicle: str, task: str, most_m: float) -> None:
-    """For PID it is tests/strangers/test_flights.py."""
-    found = judged(Job(Row(vehicle, task, RIGHT), LQR, 1, tuned_gains()[vehicle]), SHARE[task])
-    assert found.mean_m < most_m
-    assert math.isfinite(found.arrival_s)
 
 
 @pytest.mark.parametrize("row", ROWS, ids=" ".join)

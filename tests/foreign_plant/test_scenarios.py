@@ -81,8 +81,8 @@ def test_over_a_bad_link_to_an_autopilot_it_holds_and_follows() -> None:
     flight.fly(5.0)
     flight.arm()
     flight.command(action="arm")
-    flight.fly(40.0)
-    assert farthest_m(flight.fly(20.0)) < 0.5
+    flight.fly(25.0)
+    assert farthest_m(flight.fly(15.0)) < 0.5
     flight.follow_square()
     assert distance_from_outline_m(flight.fly(60.0)).max() < 0.8
     assert flight.edge.refused == 0
@@ -200,10 +200,10 @@ def antenna_flight(
 
 
 def held(flight: Flight, thrusts_N: list[tuple[float, float]]) -> tuple[float, float]:
-    """Return the largest distance (m) and the mean abs thrust (N), from 40 s to 70 s."""
+    """Return the largest distance (m) and the mean abs thrust (N), from 40 s to 55 s."""
     flight.fly(40.0)
     thrusts_N.clear()
-    return farthest_m(flight.fly(30.0)), float(np.abs(thrusts_N).mean())
+    return farthest_m(flight.fly(15.0)), float(np.abs(thrusts_N).mean())
 
 
 def test_a_declared_antenna_costs_nothing_and_another_is_named(tmp_path: Path) -> None:
@@ -229,17 +229,17 @@ def time_s(plans: list[Plan], *, nominal: bool) -> float:
 
 def test_actuators_that_refuse_every_plan_degrade_the_health_with_the_reason() -> None:
     flight = Flight(armed=True)
-    flight.fly(30.0)
+    flight.fly(20.0)
     assert {plan.health for plan in flight.plans[10:]} == {Health.NOMINAL}
     flight.accepts, flight.plans = lambda _plan: False, []
-    flight.fly(20.0)
+    flight.fly(10.0)
     refused, flight.plans = flight.plans, []
     flight.accepts = lambda _plan: True
-    flight.fly(30.0)
+    flight.fly(20.0)
     assert time_s(refused, nominal=False) <= 1.5
     assert {plan.health_why for plan in refused if plan.health is Health.DEGRADED} == {"the actuators reject plans"}
     assert time_s(flight.plans, nominal=True) <= 1.5
-    assert farthest_m(flight.track[-1000:]) < 0.3
+    assert farthest_m(flight.track[-500:]) < 0.3
 
 
 def evidence(flight: Flight, shares: tuple[float, float], seconds: float) -> list[ModelCheck]:
@@ -254,18 +254,18 @@ def evidence(flight: Flight, shares: tuple[float, float], seconds: float) -> lis
 
 
 def test_a_weak_thruster_in_the_hold_is_named_and_forgotten_when_it_has_recovered() -> None:
-    """Starboard delivers a quarter of what it reports for a minute; half of that small thrust is not found."""
+    """Starboard delivers a quarter of what it reports for half a minute; half of that small thrust is not found."""
     flight = Flight(armed=True)
     flight.fly(30.0)
     flight.hull.plant.outside[4:] = 1.0, 0.25
-    assert farthest_m(flight.fly(60.0)) < 0.1
+    assert farthest_m(flight.fly(30.0)) < 0.1
     flight.hull.plant.outside[4:] = 1.0, 1.0
     assert farthest_m(flight.fly(40.0)) < 0.05
     begin_ns = flight.plans[0].cycle_t_ns
     weak = [plan for plan in flight.plans if "starboard thruster weak" in plan.health_why]
     weak_s = [(plan.cycle_t_ns - begin_ns) * 1e-9 for plan in weak]
     assert 30.0 <= min(weak_s) < 45.0
-    assert max(weak_s) < 120.0
+    assert max(weak_s) < 90.0
 
 
 def test_a_healthy_lap_in_a_known_current_gives_no_evidence_of_a_loss() -> None:
@@ -286,11 +286,11 @@ def test_a_weak_thruster_along_the_square_raises_the_alarm() -> None:
 
 # --- steps of the craft's clock --------------------------------------------------------------------------------------
 
-STEPS_S = (-86_400.0, -5.0, -0.05, 0.05, 5.0, 86_400.0)
-"""Those of 0.05 s are larger than the error of a short exchange, and smaller than a lateness that counts as a step."""
+STEPS_S = (-86_400.0, -5.0, -0.05, 5.0)
+"""That of 0.05 s is larger than the error of a short exchange, and smaller than a lateness that counts as a step."""
 
 
-@pytest.mark.parametrize("step_s", [-86_400.0, -0.05, 0.05, 5.0])
+@pytest.mark.parametrize("step_s", [-0.05, 5.0])
 def test_two_way_a_step_above_the_clock_error_is_certain_and_degrades_for_a_second(step_s: float) -> None:
     flight = Flight(delay_us=20_000, armed=True)  # a longer exchange would not tell a step of 0.05 s
     flight.fly(20.0)
@@ -307,12 +307,11 @@ def test_two_way_a_step_above_the_clock_error_is_certain_and_degrades_for_a_seco
     assert farthest_m(flight.track[1000:]) < 0.3
 
 
-@pytest.mark.parametrize("step_s", [-0.2, -0.05])
-def test_one_way_a_small_step_backwards_is_followed_and_moves_nothing(step_s: float) -> None:
+def test_one_way_a_small_step_backwards_is_followed_and_moves_nothing() -> None:
     """Stamps that are later by a constant could be a slower link; the reported error is null. The offset follows."""
     flight = Flight(reports=False, armed=True)
     flight.fly(20.0)
-    flight.set_clock(step_s)
+    flight.set_clock(-0.2)
     flight.fly(35.0)
     assert flight.clock_offset.error_ns is None
     assert flight.clock_offset.offset_ns == pytest.approx(flight.craft_ns - flight.host_us * 1000, abs=1_000_000)

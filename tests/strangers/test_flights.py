@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from benchmarks.strangers.flight import FOREIGN, Conditions, Flight
-from benchmarks.strangers.rival import gains_of
 from benchmarks.strangers.tasks import CONDITIONS, SPEEDS_MPS, TASKS, Figures, Task, figures, fly_task
 
 MEAN_M, MAX_M, ARRIVAL_S, FORCE = 0.25, 0.6, 40.0, 0.3
@@ -36,15 +35,6 @@ def test_a_stranger_follows_a_line(hull: str) -> None:
     found = fly_task(hull, "line", CONDITIONS["nominal"], 1)
     assert found.mean_m < 0.5
     assert found.arrival_s < 1.6 * 20.0 / SPEEDS_MPS[hull]
-
-
-@pytest.mark.parametrize("hull", FOREIGN)
-def test_the_rival_flies_well_so_that_the_comparison_proves_something(hull: str) -> None:
-    hold, line = (fly_task(hull, task, CONDITIONS["nominal"], 1, gains_of(hull)) for task in ("hold", "line"))
-    assert hold.mean_m < 0.25
-    assert hold.arrival_s < 15.0
-    assert line.mean_m < 0.5
-    assert line.arrival_s < 1.3 * 20.0 / SPEEDS_MPS[hull]
 
 
 def along(points: np.ndarray, seconds: float, nominal: np.ndarray | None = None) -> Flight:

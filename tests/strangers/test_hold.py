@@ -5,18 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.strangers import drawn, hold
-from benchmarks.strangers.flight import Conditions, Start, fly, load
+from benchmarks.strangers import hold
+from benchmarks.strangers.flight import Conditions, Start, fly
 from benchmarks.strangers.hold import Row
 
 ROWS = [
     #   vehicle           ahead  aside  current reports    noise   start
     (Row("low-yaw",       0.25,  0.0,   0.05,   False),            1),
     (Row("ellipsoid",     0.0,   0.25,  0.0,    False),            0),
-    (Row("catamaran",     0.25,  0.0,   0.0,    False),            7),
     (Row("catamaran",     0.15,  0.0,   0.0,    True),             1),
     (Row("surface",      -0.25,  0.0,   0.0,    False),            2),
-    (Row("light_boat",    0.15,  0.0,   0.0,    False),            1),
     (Row("light_boat",    0.0,   0.0,   0.0,    True,    0.3),     2),
 ]  # fmt: skip
 """Some of the worst rows of the matrix, and one with noise: they failed before the held point kept the direction of the
@@ -30,20 +28,10 @@ def test_a_hull_rests_at_its_point_whatever_point_of_it_the_estimates_are_of(row
     assert figures.share <= 1.0, figures
 
 
-@pytest.mark.parametrize("row", hold.drawn_rows(2), ids=lambda row: row.vehicle)
+@pytest.mark.parametrize("row", hold.drawn_rows(1), ids=lambda row: row.vehicle)
 def test_a_hull_drawn_at_random_rests_at_its_point_with_a_wrong_file(row: Row) -> None:
     figures = hold.judge(row, 0)
     assert figures.share <= 1.0, figures
-
-
-def test_a_drawn_hull_differs_from_its_file_and_is_the_same_each_time() -> None:
-    (true, file), again = drawn.vehicles(7), drawn.vehicles(7)
-    assert (true, file) == again != drawn.vehicles(8)
-    for wrong, right in ((file.surge.mass_kg, true.surge.mass_kg), (file.thrusters[0].arm_m, true.thrusters[0].arm_m)):
-        assert 0.3 < wrong / right < 3.0
-        assert wrong != right
-    hull, own = load(true.name)
-    assert (own, hull.max_N) == (file, true.thrusters[0].max_N)
 
 
 def test_the_estimates_are_of_the_point_that_the_conditions_name() -> None:

@@ -10,6 +10,7 @@ from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Applied, Estimate, Message, NodeSettings, NodeStatus, Truth
 from services.bus.wire import Header
 from services.recording.acceptance import Acceptance
+from services.recording.history import Entry, Samples
 from services.recording.node_settings import vehicle_of
 from services.recording.reader import Recording, StoredMessage
 from services.recording.recover import segments
@@ -38,38 +39,22 @@ class PlotData(msgspec.Struct, frozen=True, kw_only=True):
     metadata: dict[str, str]  # of the recording, with the settings files that processes published
 
 
-class _Sieve:
-    """Decimator: accepts one message in each ``period_ns``, which doubles to keep fewer than ``2 * limit`` rows."""
-
-    def __init__(self, period_ns: int, limit: int) -> None:
-        self._period_ns = period_ns
-        self._limit = limit
-        self._passed = 0
-        self._next_ns: int | None = None
-
-    def passes(self, t_ns: int) -> bool:
-        if self._next_ns is not None and self._next_ns - self._period_ns <= t_ns < self._next_ns:
-            return False
-        self._next_ns = (t_ns // self._period_ns + 1) * self._period_ns
-        self._passed += 1
-        if self._passed == 2 * self._limit:
-            self._passed, self._period_ns = self._limit, 2 * self._period_ns
-        return True
-
-
 def read(recording: Path, *, rows: int = ROWS) -> PlotData:
     """Read the plot data in one pass over the recording and its segments, decoding only the plotted messages.
 
     Only accepted messages are shown (``Acceptance``). Raises ``ConfigError`` if the file is not a recording.
     """
     parts = Recording(*segments(recording), past_losses=True)
-    sieves: dict[tuple[type[Message], int], _Sieve] = {}  # by type and source: each source has rows of its own
+    shown: dict[tuple[type[Message], int], Samples] = {}  # by type and source: each source has rows of its own
 
     def passes(stored: StoredMessage, header: Header) -> bool:
         kind = stored.kind
         if kind is None or kind not in OFTEN:
             return True
-        return sieves.setdefault((kind, header.epoch), _Sieve(OFTEN[kind], rows)).passes(stored.t_ns)
+        samples = shown.setdefault((kind, header.epoch), Samples(OFTEN[kind], rows))
+        if due := samples.is_due(stored.t_ns):
+            samples.add(Entry(stored.t_ns))
+        return due
 
     files: dict[str, str] = {}  # of the processes that published their settings
     start_ns = 0

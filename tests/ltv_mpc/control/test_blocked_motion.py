@@ -63,7 +63,7 @@ def test_a_dive_after_waiting_afloat_is_that_of_a_new_controller() -> None:
     start = Estimate.at_rest(depth_m=DRAUGHT_M)
     begins_s, behind_m = lag_of_a_dive(controller_of(PAPER, 12.0), start)
     waited = controller_of(PAPER, 0.0)
-    way, _ = fly_until(waited, start, 150.0, afloat)
+    way, _ = fly_until(waited, start, 90.0, afloat)
     waited.follow(to(12.0))
     later_s, later_m = lag_of_a_dive(waited, way[-1])
     assert later_s <= begins_s + 1.0
@@ -89,7 +89,7 @@ def test_afloat_the_vehicle_needs_no_vertical_thrust(wanted_m: float, noise_m: f
 def test_aground_the_thrust_stays_that_of_the_law_without_integral(deeper_m: float, most_N: float) -> None:
     """B - W + M_z w0^2 e = 30.5 + 20.25 e."""
     controller = controller_of(PAPER, 12.0 + deeper_m)
-    _, plans = fly_until(controller, Estimate.at_rest(depth_m=11.9), 150.0, aground)
+    _, plans = fly_until(controller, Estimate.at_rest(depth_m=11.9), 90.0, aground)
     assert plans[-1].thrust_N[0, 2] <= most_N
     assert abs(controller.save(0).depth_integral_N) < 0.1
 
@@ -97,7 +97,7 @@ def test_aground_the_thrust_stays_that_of_the_law_without_integral(deeper_m: flo
 @pytest.mark.parametrize("wanted_m", [4.7, 7.0])
 def test_a_vehicle_that_is_held_goes_to_its_depth_when_it_is_released(wanted_m: float) -> None:
     controller = controller_of(PAPER, wanted_m)
-    way, _ = fly_until(controller, Estimate.at_rest(depth_m=5.0), 100.0, held)
+    way, _ = fly_until(controller, Estimate.at_rest(depth_m=5.0), 60.0, held)
     assert abs(controller.save(0).depth_integral_N) < 1.0
     way, _ = fly(controller, way[-1], 333)
     depth = column(way, "depth_m")
@@ -110,14 +110,14 @@ def test_a_wrong_buoyancy_is_still_learned(off_N: float, damping_kgps: float) ->
     heave = Translation(mass_kg=225.0, linear_damping_kgps=damping_kgps, quadratic_damping_kgpm=800.0)
     model = replace(PAPER, heave=heave)
     true = replace(model, net_buoyancy_N=PAPER.net_buoyancy_N + off_N)
-    way, _ = fly(controller_of(model, 8.0), Estimate.at_rest(depth_m=8.0), 850, true=true)
+    way, _ = fly(controller_of(model, 8.0), Estimate.at_rest(depth_m=8.0), 600, true=true)
     assert way[-1].depth_m == pytest.approx(8.0, abs=0.02)
 
 
 def test_a_new_reference_starts_the_integral_at_zero_and_a_pause_does_not() -> None:
     true = replace(PAPER, net_buoyancy_N=24.0)
     controller = controller_of(PAPER, 8.0)
-    way, _ = fly(controller, Estimate.at_rest(depth_m=8.0), 400, true=true)
+    way, _ = fly(controller, Estimate.at_rest(depth_m=8.0), 300, true=true)
     assert controller.save(0).depth_integral_N == pytest.approx(-6.5, abs=0.3)
     controller.pause(way[-1])
     controller.resume()

@@ -55,7 +55,7 @@ def deeper(depth_m: float = 50.0, rate_mps: float = 0.2) -> Point:
 @pytest.mark.parametrize("rate_mps", [0.05, 0.2, 5.0])
 def test_a_ramp_into_the_bottom_stops_at_the_least_altitude(rate_mps: float) -> None:
     controller = Controller(PAPER, deeper(rate_mps=rate_mps), config(min_altitude_m=3.0))
-    way, plans = dive(controller, PAPER, 150.0, Estimate.at_rest(depth_m=5.0))
+    way, plans = dive(controller, PAPER, 110.0, Estimate.at_rest(depth_m=5.0))
     assert depths(way).max() < BOTTOM_M - 3.0 + 0.02
     assert depths(way)[-1] == pytest.approx(BOTTOM_M - 3.0, abs=0.02)
     assert [plan.depth_limit_m for plan in plans] == pytest.approx([BOTTOM_M - 3.0] * len(plans))
@@ -73,7 +73,7 @@ def test_a_bottom_that_is_seen_late_is_not_reached() -> None:
 def test_a_wrong_buoyancy_costs_less_than_a_third_of_a_metre_and_is_learned(buoyancy_N: float) -> None:
     """Its 6.5 N are 6.5 / (225 x 0.09) = 0.32 m of the law without an integral."""
     true = msgspec.structs.replace(PAPER, net_buoyancy_N=buoyancy_N)
-    way, _ = dive(Controller(PAPER, deeper(), config(max_depth_m=9.0)), true, 200.0, Estimate.at_rest(depth_m=5.0))
+    way, _ = dive(Controller(PAPER, deeper(), config(max_depth_m=9.0)), true, 150.0, Estimate.at_rest(depth_m=5.0))
     assert depths(way).max() < 9.0 + 0.33
     assert depths(way)[-1] < 9.0 + 0.05
 

@@ -13,7 +13,7 @@ from ltv_mpc import Vehicle
 from ltv_mpc.vehicle.dynamics import heave_acceleration, rates
 from ltv_mpc.vehicle.flow import advance_heave, advance_stage, lag_table, substeps
 from ltv_mpc.vehicle.parameters import Rotation, Translation
-from ltv_mpc.vehicle.sensitivity import SCRATCH, linearise_stage, thrust_gains
+from ltv_mpc.vehicle.sensitivity import SCRATCH, read, thrust_gains
 from tests.ltv_mpc.vehicles import changed
 
 PAPER = Vehicle.load("paper")
@@ -146,10 +146,11 @@ def test_the_exact_discretisation_agrees_with_a_tight_independent_integrator(h, 
 def test_sensitivities_agree_with_finite_differences_of_the_exact_flow_to_1e_6():
     rng = np.random.default_rng(2)
     out, A, B0, B1 = np.empty(8), np.empty((8, 8)), np.empty((8, 2)), np.empty((8, 2))
-    lag = lag_table(0.3, P)
+    lag, Z = lag_table(0.3, P), np.empty(SCRATCH)
     for _ in range(40):
         X, u0, uh, c0, ch = draw(rng)
-        linearise_stage(X, u0, uh, c0, ch, 0.3, P, lag, thrust_gains(lag, P), np.empty(SCRATCH), out, A, B0, B1)
+        advance_stage(X, u0, uh, c0, ch, 0.3, P, lag, out, thrust_gains(lag, P), Z)
+        read(Z, lag[-1], A, B0, B1)
         np.testing.assert_allclose(out, flow(X, u0, uh, c0, ch), atol=1e-14)
         for matrix, which in ((A, 0), (B0, 1), (B1, 2)):
             for j in range(matrix.shape[1]):

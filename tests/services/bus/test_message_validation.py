@@ -13,8 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ltv_mpc.messages import Estimate, GnssFix, Manual, PressureDepth
+from ltv_mpc.validation import MAX_KINDS
 from services.bus.mailbox import Frame, Mailbox
-from services.bus.message_validation import MAX_REASONS, MessageValidator, RateExceeded, rejection
+from services.bus.message_validation import MessageValidator, RateExceeded, rejection
 from services.bus.rate_limit import RateLimit
 from services.bus.sequence_check import MAX_SOURCES, silence_us
 from services.bus.topics import BY_TYPE, source_of, topic_at
@@ -107,7 +108,7 @@ def test_what_a_door_remembers_does_not_grow_with_what_strangers_send() -> None:
         letters = "".join(chr(ord("a") + int(digit)) for digit in str(k))
         with pytest.raises(WireError, match="unknown field"):
             validator.validate(Frame(TOPIC, TOPIC.key, msgpack.packb({**unpack(frame(0).payload), letters: 0}), 0))
-    assert len(validator.rejected_by_reason) == MAX_REASONS + 1
+    assert len(validator.rejected_by_reason) == MAX_KINDS + 1
     assert validator.rejected == MAX_SOURCES + 500
     # The operators' last MAX_SOURCES - 1 epochs are remembered, beside the sensor's key, and its own former epochs.
     with pytest.raises(WireError, match="out of order"):

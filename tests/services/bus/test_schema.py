@@ -6,7 +6,6 @@ import contextlib
 import re
 from typing import Any
 
-import msgpack
 import msgspec
 import pytest
 
@@ -98,14 +97,6 @@ def test_the_schema_makes_optional_what_the_decoder_does_not_need(signal: Messag
         assert obeys(rest, schema.schema(kind)) != needed
         with pytest.raises(wire.WireError, match=name) if needed else contextlib.nullcontext():
             wire.from_map(kind, rest)
-
-
-def test_an_estimate_needs_time_position_heading_yaw_rate_and_velocity_alone() -> None:
-    least = ("t_ns", "north_m", "east_m", "heading_rad", "yaw_rate_radps", "velocity_north_mps", "velocity_east_mps")
-    assert schema.schema(Estimate)["required"] == ["epoch", "sequence", *least]
-    message = {"epoch": 1, "sequence": 0, **dict.fromkeys(least, 0)}
-    decoded, _ = wire.decode(Estimate, msgpack.packb(message))
-    assert (decoded.depth_m, decoded.velocity_down_mps, decoded.covariance, decoded.current) == (None,) * 4
 
 
 @pytest.mark.parametrize("signal", [PLAN, ESTIMATES[0]], ids=lambda signal: type(signal).__name__)

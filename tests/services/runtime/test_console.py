@@ -9,7 +9,7 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
-from services.runtime.console import ERASE, Console, Level, counted, fold, tenfold
+from services.runtime.console import ERASE, Console, Level, counted, fold
 
 DEGRADED = "health: degraded (the estimates are too old)"
 
@@ -82,15 +82,6 @@ def test_a_reader_that_ends_stops_nothing() -> None:
 def test_without_a_stream_it_writes_to_standard_error(capsys: pytest.CaptureFixture[str]) -> None:
     Console("router").say("ready")
     assert capsys.readouterr().err == "router: ready\n"
-
-
-def test_a_growing_count_is_told_at_each_power_of_ten() -> None:
-    told, before = [], 0
-    for count in range(1, 1235):
-        if tenfold(count) > tenfold(before):
-            told.append(count)
-        before = count
-    assert told == [1, 10, 100, 1000]
 
 
 def test_a_text_breaks_where_a_clause_ends_and_else_between_words() -> None:

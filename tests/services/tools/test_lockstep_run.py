@@ -47,15 +47,6 @@ def test_a_process_with_another_hash_seed_and_folder_writes_the_same_bytes(recor
     assert place.recording.read_bytes() == (tmp_path / out / "run.mcap").read_bytes()
 
 
-def test_the_metadata_hold_all_that_the_run_was_made_of(recorded: tuple[RunConfig, RunFolder, Summary]) -> None:
-    here, place, _ = recorded
-    recording = Recording(place.recording)
-    next(iter(recording))
-    assert recording.metadata["seed"] == "3"
-    for name, text in here.files.items():
-        assert recording.metadata[name] == text == (place.path / name).read_text(encoding="utf-8")
-
-
 def test_messages_are_in_order_of_time_without_a_gap_and_all_are_counted(recorded) -> None:
     here, place, summary = recorded
     losses, times = LossAccounting(), []

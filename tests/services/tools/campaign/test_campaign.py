@@ -150,15 +150,6 @@ def test_a_value_outside_its_bounds_is_refused_before_anything_is_made(tmp_path,
     assert not (tmp_path / "out").exists()
 
 
-def test_a_folder_of_another_campaign_is_refused(finished, tmp_path, capsys) -> None:
-    other = tmp_path / "c.toml"
-    other.write_text(FILE.replace("1.2]", "1.5]"))
-    before = results(finished)
-    assert run(["campaign", str(other), "--out", str(finished)]) == 2
-    assert "holds another campaign" in capsys.readouterr().err
-    assert results(finished) == before
-
-
 def test_a_scheduler_that_is_not_there_is_refused(file, tmp_path, free_port, capsys, monkeypatch) -> None:
     pytest.importorskip("distributed")
     monkeypatch.setattr(executor, "CLUSTER_TIMEOUT_S", 0.2)
