@@ -39,6 +39,7 @@ from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.solvers import SolverFactory, make
 from ltv_mpc.control.vertical import VerticalLaw, VerticalPlan
 from ltv_mpc.conversion import exact
+from ltv_mpc.errors import ConfigError
 from ltv_mpc.geofence.fence import Fence, compare_origins
 from ltv_mpc.messages import (
     Applied,
@@ -235,16 +236,26 @@ class Controller:
         """
         return self._lateral.fencing.in_force(t_ns)
 
-    def add_report(self, applied: Applied) -> None:
+    def add_report(self, applied: Applied, t_ns: int | None = None) -> None:
         """Add a report of the actuators: it corrects the expected delay, the commands in force and the thrusts.
 
         While its commands contradict the plans, nothing is learned from the motion; after 1 s the health is degraded.
 
         Parameters
         ----------
-        applied : the plan that they received last, their commands and their delivered thrusts.
+        applied : the plan that they received last, their commands and their delivered thrusts. One with a number that
+            is none, or that no thruster delivers, is not used; the health says so.
+        t_ns : now, vehicle time (ns): a report of later is one of now. None: not known.
         """
-        applied = exact(applied)
+        try:
+            applied = exact(applied)
+        except ConfigError as error:
+            self.actuator_check.refuse(str(error))
+            return
+        if not self.actuator_check.can_be(applied):
+            return
+        if t_ns is not None and applied.t_ns > t_ns:
+            applied = msgspec.structs.replace(applied, t_ns=t_ns)
         self._delay.add_receipt(applied)
         self.prediction.add_report(applied)
         self.actuator_check.add(applied)
@@ -322,7 +333,8 @@ class Controller:
         ----------
         estimate : the newest estimate, of the vehicle's origin (``Vehicle.reference_point.to_origin``).
         t_ns : start of the cycle, vehicle time (ns); the estimate's own time if None.
-        applied : the actuators' report. Without reports the controller assumes that its plans are followed.
+        applied : the actuators' report, not of later than now. Without reports the controller assumes that its plans
+            are followed.
         override : thrusts commanded by a source other than the controller.
         health : of the inputs that the caller monitors, with its reason; the plan reports the worse of it and the
             estimate's.
@@ -335,8 +347,8 @@ class Controller:
         try:
             now_ns = int(estimate.t_ns if t_ns is None else t_ns)
             if applied is not None:
-                self.add_report(applied)
-            return self._cycle(exact(estimate), now_ns, override, health)
+                self.add_report(applied, now_ns)
+            return self._cycle(self.estimate_gate.usable(estimate), now_ns, override, health)
         except Exception as error:  # of any kind: the thrusters must have a command in every cycle
             why = f"{type(error).__name__}: {error}"[:MAX_WHY_CHARS]
             return self._emergency_plan(now_ns, override, health, why)

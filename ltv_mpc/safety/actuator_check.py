@@ -36,6 +36,12 @@ CATCH_UP_SHARE = 0.8
 KEPT_NS = 10_000_000_000
 """Age up to which plans are kept: reports may be delayed by it."""
 
+BEYOND = 3.0
+"""Largest thrust that is believed, over that of the file's strongest thruster."""
+
+UNUSABLE = "a report of the actuators cannot be used: "
+"""Start of the health's reason from a report with a number that is none, or out of its bounds, to the next good one."""
+
 NOT_DRIVING = "not driving: "
 """Start of the health's reason while the actuators report why they do not follow the plans."""
 
@@ -57,6 +63,7 @@ class ActuatorCheck:
         self._tolerance_N = [
             min(SHARE * max(-t.min_N, t.max_N), SLEW_SHARE * t.slew_N_per_s * period_ns * 1e-9) for t in thrusters
         ]
+        self._most_N = BEYOND * max(max(-t.min_N, t.max_N) for t in vehicle.thrusters)
         self._slew_N_per_s = [t.slew_N_per_s for t in thrusters]
         self._last: tuple[int, Triple] = 0, (0.0, 0.0, 0.0)  # time and commands of the last report
         self._period_ns, self._timeout_s = period_ns, vehicle.plan_timeout_s
@@ -96,6 +103,27 @@ class ActuatorCheck:
         while len(plans) > 1 and plans[1].t_ns[0] < start_ns - KEPT_NS:
             plans.popleft()
 
+    def refuse(self, reason: str) -> None:
+        """Degrade the health until a report can be used.
+
+        Parameters
+        ----------
+        reason : why this one cannot.
+        """
+        self.health = HealthState(Health.DEGRADED, f"{UNUSABLE}{reason}")
+
+    def can_be(self, applied: Applied) -> bool:
+        """Return True if thrusters can deliver what is reported, within a factor; else the health is degraded.
+
+        Parameters
+        ----------
+        applied : report.
+        """
+        if all(abs(thrust_N) <= self._most_N for thrust_N in applied.thrust_N + applied.command_N):  # not if NaN
+            return True
+        self.refuse(f"more than {self._most_N:.0f} N")
+        return False
+
     def add(self, applied: Applied) -> None:
         """Compare a report with the plans; one from before the first known plan is ignored.
 
@@ -112,7 +140,7 @@ class ActuatorCheck:
             self._contradicted(t_ns)
             self.health = HealthState(Health.DEGRADED, f"{NOT_DRIVING}{applied.why}")
             return
-        if self.health.why.startswith(NOT_DRIVING):
+        if self.health.why.startswith((NOT_DRIVING, UNUSABLE)):
             self.health = NOMINAL
         plans = self._in_force(applied)
         if not plans:

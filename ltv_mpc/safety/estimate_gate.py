@@ -29,6 +29,8 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
+from ltv_mpc.conversion import exact
+from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import CurrentProfile, Estimate, Health
 from ltv_mpc.safety.estimate_filter import EstimateFilter, standard_deviation
 from ltv_mpc.safety.health import DEFAULT_AGES, NOMINAL, PREDICTED_TOO_FAR, Ages, HealthState, health
@@ -126,6 +128,26 @@ class EstimateGate:
         self.age.add(estimate.t_ns)
         self.accepted, self._jumped, self._last = estimate, None, (None, "")
         return ""
+
+    def usable(self, estimate: Estimate) -> Estimate:
+        """Return an estimate whose numbers have their types; the last accepted one if that is impossible.
+
+        Parameters
+        ----------
+        estimate : newest estimate.
+
+        Raises
+        ------
+        ConfigError : a number is none, or out of its bounds, and none was accepted before.
+        """
+        try:
+            return exact(estimate)
+        except ConfigError as error:
+            if self.accepted is None:
+                raise
+            self.rejected[str(error)] += 1
+            self._last = estimate, str(error)
+            return self.accepted
 
     def restart(self) -> None:
         """Begin with another source: its next plausible estimate is accepted, and its period is its own."""
