@@ -24,10 +24,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ltv_mpc.bounded import remember
 from ltv_mpc.messages import Health, Plan, Triple
 from ltv_mpc.safety.health import plan_end_ns, plan_health
 from ltv_mpc.safety.input_age import InputAge
-from ltv_mpc.safety.source_selector import remember
 from ltv_mpc.vehicle.parameters import Vehicle
 
 TOLERANCE_N = 1e-6

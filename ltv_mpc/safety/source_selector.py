@@ -21,13 +21,11 @@ a smallest duration. The caller decides what is believed, consistent and in agre
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
+from ltv_mpc.bounded import remember
 from ltv_mpc.safety.health import DEGRADED_PERIODS
 from ltv_mpc.safety.input_age import Contest, InputAge
-
-K = TypeVar("K")
-V = TypeVar("V")
 
 MIN_SILENCE_NS, MAX_SILENCE_NS = 500_000_000, 1_500_000_000
 """Bounds of the silence after which the active source may be replaced."""
@@ -43,9 +41,6 @@ RETURN_NS = 5_000_000_000
 
 MAX_GAP_NS = 10_000_000_000
 """Gap after which a run begins again. It also does if the time is set back."""
-
-MAX_CANDIDATES = 64
-"""Number of sources that are remembered; beyond it the one that was silent longest is forgotten."""
 
 
 class Source(NamedTuple):
@@ -191,17 +186,3 @@ class SourceSelector:
     @property
     def _silence_ns(self) -> int:
         return min(max(DEGRADED_PERIODS * self._age.median_ns, MIN_SILENCE_NS), MAX_SILENCE_NS)
-
-
-def remember(memory: dict[K, V], key: K, value: V) -> None:
-    """Store a value as the last one to be forgotten, and forget the first one beyond MAX_CANDIDATES.
-
-    Parameters
-    ----------
-    memory : by key, the value that was stored longest ago first; changed.
-    key, value : entry to store.
-    """
-    memory.pop(key, None)
-    memory[key] = value
-    if len(memory) > MAX_CANDIDATES:
-        del memory[next(iter(memory))]

@@ -13,8 +13,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
+from ltv_mpc.bounded import remember
 from ltv_mpc.safety.input_age import SECOND_SOURCE
 from services.bus.wire import Header, WireError
 
@@ -70,12 +70,10 @@ class SequenceCheck:
         ``silent_us`` is the silence after which another source takes over. Raises ``WireError`` if the header is of a
         second source, or its sequence number is old, duplicated or implausibly far ahead.
         """
-        source = self._sources.pop(key, None)
+        source = self._sources.get(key)
+        remember(self._sources, key, source or _Source(header.epoch, header.sequence, received_us), MAX_SOURCES)
         if source is None:
-            self._sources[key] = _Source(header.epoch, header.sequence, received_us)
-            _forget_oldest(self._sources)
             return
-        self._sources[key] = source  # now the last one to be forgotten
         another = header.epoch != source.epoch
         if another and 0 <= received_us - source.received_us < silent_us:
             raise WireError(f"{SECOND_SOURCE}: epoch {header.epoch} while epoch {source.epoch} publishes")
@@ -95,14 +93,8 @@ class SequenceCheck:
             skipped -= 1  # the first of the two frames was rejected, and is counted there
         if another:
             source.former.pop(header.epoch, None)
-            source.former[source.epoch] = source.sequence
-            _forget_oldest(source.former)
+            remember(source.former, source.epoch, source.sequence, MAX_SOURCES)
             source.epoch = header.epoch
         else:
             self.dropped += skipped
         source.sequence, source.received_us, source.unconfirmed = header.sequence, received_us, None
-
-
-def _forget_oldest(entries: dict[Any, Any]) -> None:
-    if len(entries) > MAX_SOURCES:
-        del entries[next(iter(entries))]

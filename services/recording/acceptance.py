@@ -14,9 +14,9 @@ from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator
 from typing import TYPE_CHECKING, NamedTuple
 
+from ltv_mpc.bounded import remember
 from ltv_mpc.messages import Applied, Clock, ControllerStatus, Estimate, Message, NodeStatus, Plan
 from ltv_mpc.safety.input_age import SECOND_SOURCE, InputMonitor
-from ltv_mpc.safety.source_selector import remember
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.message_validation import SHARED
 from services.bus.roles import ANYONE, DISPLAY, ROLES

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import Counter, deque
 from dataclasses import dataclass
 
+from ltv_mpc.bounded import remember
 from services.bus.sequence_check import MAX_FIRST
 
 MAX_GAPS = 1_000
@@ -130,18 +131,14 @@ class LossAccounting:
 
     def add(self, key: str, epoch: int, sequence: int, *, counts: bool = True) -> None:
         """Add a recorded message; unless it ``counts``, its source is counted from its next message on."""
-        process = self._processes.pop(epoch, None) or _Process(began_before=self._late and sequence > 0)
-        self._processes[epoch] = process
-        if len(self._processes) > MAX_PROCESSES:
-            del self._processes[next(iter(self._processes))]
-        source = self._sources.pop((key, epoch), None)
+        process = self._processes.get(epoch) or _Process(began_before=self._late and sequence > 0)
+        remember(self._processes, epoch, process, MAX_PROCESSES)
+        source = self._sources.get((key, epoch))
         if source is None:
             # More than MAX_FIRST messages are not lost before the first one: its sender began elsewhere.
             from_here = process.began_before or sequence > MAX_FIRST or self._published
             source = SequenceGaps(sequence if from_here else 0)
-        self._sources[key, epoch] = source
-        if len(self._sources) > self._max_sources:
-            oldest = self._sources.pop(next(iter(self._sources)))
+        if (oldest := remember(self._sources, (key, epoch), source, self._max_sources)) is not None:
             self._published, self._missing = self._published + oldest.published, self._missing + oldest.missing
         before = source.received
         source.add(sequence)

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ltv_mpc.bounded import remember
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.frames import wrap_angle
 from ltv_mpc.localisation.estimator import Estimator
@@ -137,10 +138,7 @@ class WhatIf:
         if other is not None:
             self._pair(kind.deviations(other, message) if replayed else kind.deviations(message, other))
             return
-        mine = self._waiting[replayed]
-        mine[t_ns] = message
-        if len(mine) > MAX_WAITING:
-            del mine[next(iter(mine))]
+        remember(self._waiting[replayed], t_ns, message, MAX_WAITING)
 
     def _pair(self, rows: Array) -> None:
         if not len(rows):

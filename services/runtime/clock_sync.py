@@ -14,8 +14,7 @@ stamps cannot come from clock r.
 
 from __future__ import annotations
 
-from collections import OrderedDict
-
+from ltv_mpc.bounded import remember
 from ltv_mpc.messages import Applied, Clock, ClockMode, ClockState, ClockStep, Estimate, Message
 from services.bus.topics import BY_TYPE
 from services.runtime.clock import ClockSegment, VehicleClock
@@ -63,11 +62,11 @@ class ClockSync:
         self._clock = clock
         self._epoch, self._input_delay_ns = epoch, input_delay_ns
         # By epoch, the one received last at the end.
-        self._publishers: OrderedDict[int, ClockOffsetEstimator] = OrderedDict()
+        self._publishers: dict[int, ClockOffsetEstimator] = {}
         self._reference: int | None = None  # publisher whose clock the vehicle time and the plans follow
         self._actuators_report = False
         self._source: int | None = None  # publisher of the estimates in use
-        self._sent_us: OrderedDict[int, int] = OrderedDict()  # by sequence
+        self._sent_us: dict[int, int] = {}  # by sequence
         self._first_us: int | None = None
         self._steps: list[ClockStep] = []
         self._plans_from_us = -1  # plans that were sent before carry the times of another clock
@@ -94,9 +93,7 @@ class ClockSync:
 
     def on_plan_sent(self, sequence: int, m_us: int) -> None:
         """Note that the plan of this sequence number is sent at ``m_us``."""
-        self._sent_us[sequence] = m_us
-        while len(self._sent_us) > MAX_PENDING_PLANS:
-            self._sent_us.popitem(last=False)
+        remember(self._sent_us, sequence, m_us, MAX_PENDING_PLANS)
 
     def follow_source(self, epoch: int, m_us: int) -> None:
         """Follow the publisher ``epoch``, whose estimates are in use from now on, while the actuators do not report."""

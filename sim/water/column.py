@@ -16,12 +16,12 @@ Waves        The orbital velocity of surface waves (``surface_waves.py``) is add
 from __future__ import annotations
 
 import math
-from collections import OrderedDict
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 
+from ltv_mpc.bounded import remember
 from ltv_mpc.jit import count_up_to, jit
 from ltv_mpc.messages import Array, CurrentProfile, Pair, Triple
 from sim.random_streams import Stream, generator
@@ -62,7 +62,7 @@ class _Walk:
     def _restart(self) -> None:
         self._draws = generator(self._seed, self._stream)
         self._last, self._value = 0, np.zeros(self._shape)
-        self._cache: OrderedDict[int, Array] = OrderedDict({0: self._value})
+        self._cache = {0: self._value}
 
     def at(self, second: int) -> Array:
         """Return the sample at a distance of ``second`` >= 0 whole seconds from t = 0."""
@@ -71,9 +71,7 @@ class _Walk:
         while self._last < second:
             self._value = self._value + self._change * self._draws.standard_normal(self._shape)
             self._last += 1
-            self._cache[self._last] = self._value
-            if len(self._cache) > _MAX_CACHED:
-                self._cache.popitem(last=False)
+            remember(self._cache, self._last, self._value, _MAX_CACHED)
         return self._cache[second]
 
 

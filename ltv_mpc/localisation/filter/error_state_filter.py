@@ -103,7 +103,9 @@ class ErrorStateFilter:
         self._gate = float(chdtri(1, 1.0 - config.gate_probability))  # quantile of chi-square, 1 degree of freedom
         self._reach_m = reach_m(sensor_config.adcp)
         self._noise = imu_noise(sensor_config.imu)
-        self._earth = earth_rate(sensor_config.latitude_rad) if sensor_config.imu.senses_earth_rate else np.zeros(3)
+        senses = sensor_config.imu.senses_earth_rate
+        self.earth_rate_radps = earth_rate(sensor_config.latitude_rad) if senses else np.zeros(3)
+        """Earth rate that the gyros sense (rad/s, NED), (3,); zero if they do not sense it."""
         from_ns = belief.t_ns if adapts_from_ns is None else adapts_from_ns
         self._state = FilterState(belief=belief, process_noise=AdaptiveProcessNoise(config.cell_m, from_ns))
         if config.adapts_to_water:
@@ -129,11 +131,6 @@ class ErrorStateFilter:
         """Variance of one axis of the bias-free angular rate (rad2/s2): the angle random walk over one sample."""
         imu = self._sensor_config.imu
         return imu.angle_random_walk_rad_per_rts**2 / (imu.period_ns * 1e-9)
-
-    @property
-    def earth_rate_radps(self) -> Array:
-        """Earth rate that the gyros sense (rad/s, NED), (3,); zero if they do not sense it."""
-        return self._earth
 
     def advance(self, t_ns: int, sample: ImuSample) -> None:
         """Propagate the estimate to a time; ``imu_dropout.py`` covers the time before the sample.
@@ -164,7 +161,7 @@ class ErrorStateFilter:
         state, belief = self._state, self.belief
         measured = np.array((*sample.angular_rate_radps, *sample.specific_force_mps2))
         seconds = 1e-9 * (t_ns - belief.t_ns)
-        integrate(belief.x, belief.R, state.Phi, state.Q, measured, seconds, self._noise, self._earth)
+        integrate(belief.x, belief.R, state.Phi, state.Q, measured, seconds, self._noise, self.earth_rate_radps)
         state.angular_rate_radps = sample.angular_rate_radps
         state.pending_ns += t_ns - belief.t_ns
         belief.t_ns = t_ns

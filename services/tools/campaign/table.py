@@ -12,6 +12,7 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from services.run.folder import draft_of
 from services.tools.campaign.file import Campaign, metrics
 from services.tools.campaign.trial import COUNTS, TIMING, Row
 
@@ -37,6 +38,5 @@ def _column(key: str, values: Sequence[object]) -> pa.Array:
 
 
 def _write(table: pa.Table, path: Path) -> None:
-    draft = path.with_suffix(".draft")
-    pq.write_table(table, draft, compression="zstd")
-    draft.replace(path)
+    with draft_of(path) as draft:
+        pq.write_table(table, draft, compression="zstd")

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from ltv_mpc.bounded import MOST
 from ltv_mpc.messages import Plan
 from ltv_mpc.safety.plan_gate import PlanGate, PlanVerdict
-from ltv_mpc.safety.source_selector import MAX_CANDIDATES
 from ltv_mpc.vehicle.parameters import Vehicle
 from tests.ltv_mpc.plans import plan_of as plan
 
@@ -213,7 +213,7 @@ def test_the_memory_of_commanders_is_bounded(gate):
     for epoch in range(1000):
         at = epoch * 10 * S
         assert gate.offer(constant(at, 0.0, 0.0, 0.0), epoch, 5, at) is PlanVerdict.ACCEPTED
-    assert len(gate._last_sequence) == MAX_CANDIDATES
+    assert len(gate._last_sequence) == MOST
 
 
 def test_what_rounding_adds_to_a_plan_does_not_reach_the_command(gate):
