@@ -67,6 +67,7 @@ def test_the_proposed_horizon_covers_a_turn_and_a_stop(capsys: pytest.CaptureFix
     assert said["horizon_s"] > 1.9 * said["time_scale_s"] + 0.31
 
 
+@pytest.mark.usefixtures("without_report")
 def test_identify_recovers_the_vehicle_of_a_run(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A vehicle with 1.2 times the mass and 0.8 times the drag, held in a current for one minute."""
     keys = (
