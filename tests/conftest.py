@@ -15,7 +15,7 @@ import services  # noqa: F401  (sets the number of BLAS threads before numpy is 
 import ltv_mpc.jit  # noqa: F401  (a command would load compiled functions as plain Python)
 
 # A first example pays for compilation, and these machines are shared.
-settings.register_profile("ltv-mpc", deadline=None, derandomize=True, max_examples=50)
+settings.register_profile("ltv-mpc", deadline=None, derandomize=True, max_examples=30)
 settings.load_profile("ltv-mpc")
 
 # Under ``nohup`` the processes that tests start would ignore a hang-up, as they should for a user.
@@ -24,6 +24,18 @@ signal.signal(signal.SIGHUP, signal.SIG_DFL)
 gc.set_threshold(50_000, 20, 100)  # thousands of tests and trees of syntax are no garbage to look for
 
 HERE = Path(__file__).parent
+
+
+@pytest.fixture
+def without_report(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let ``sim`` name its report and write none: to read the recording of a minute takes as long as to make it."""
+
+    def named(recording: Path, _: object) -> str:
+        return f"report: {recording.with_name('report.html')}"
+
+    monkeypatch.setattr("services.cli.runs.after_run", named)
+
+
 LONGEST = (
     *("browser", "services/supervisor", "foreign_plant", "docs", "services/tools", "strangers", "system"),
     *("benchmarks", "examples", "services/edges", "services/replay", "services/dashboard", "services/runtime"),

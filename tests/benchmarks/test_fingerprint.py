@@ -4,7 +4,7 @@ from benchmarks import fingerprint
 
 
 def hashes(*settings):
-    made = fingerprint.plain("hover", "run.duration_s=1.0", *settings)
+    made = fingerprint.plain("hover", "run.surface_time_s=1.0", "run.duration_s=1.0", *settings)
     return {role: fingerprint.digest(rows) for role, rows in made.items()}
 
 

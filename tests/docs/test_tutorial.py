@@ -66,6 +66,7 @@ class Session(PageReader):
 
 
 @pytest.mark.timeout(900)
+@pytest.mark.usefixtures("without_report")
 @pytest.mark.parametrize("page", TUTORIALS)
 def test_each_shown_line_is_printed_by_the_commands_above_it(page, tmp_path, monkeypatch, capsys) -> None:
     monkeypatch.chdir(tmp_path)

@@ -63,7 +63,7 @@ def test_a_dive_after_waiting_afloat_is_that_of_a_new_controller() -> None:
     start = Estimate.at_rest(depth_m=DRAUGHT_M)
     begins_s, behind_m = lag_of_a_dive(controller_of(PAPER, 12.0), start)
     waited = controller_of(PAPER, 0.0)
-    way, _ = fly_until(waited, start, 90.0, afloat)
+    way, _ = fly_until(waited, start, 150.0, afloat)
     waited.follow(to(12.0))
     later_s, later_m = lag_of_a_dive(waited, way[-1])
     assert later_s <= begins_s + 1.0
@@ -97,7 +97,7 @@ def test_aground_the_thrust_stays_that_of_the_law_without_integral(deeper_m: flo
 @pytest.mark.parametrize("wanted_m", [4.7, 7.0])
 def test_a_vehicle_that_is_held_goes_to_its_depth_when_it_is_released(wanted_m: float) -> None:
     controller = controller_of(PAPER, wanted_m)
-    way, _ = fly_until(controller, Estimate.at_rest(depth_m=5.0), 60.0, held)
+    way, _ = fly_until(controller, Estimate.at_rest(depth_m=5.0), 100.0, held)
     assert abs(controller.save(0).depth_integral_N) < 1.0
     way, _ = fly(controller, way[-1], 333)
     depth = column(way, "depth_m")

@@ -6,6 +6,7 @@ The oracle is the controller itself, with its observer and its prediction, on a 
 from __future__ import annotations
 
 import copy
+from functools import cache
 
 import msgspec
 import numpy as np
@@ -14,7 +15,7 @@ import pytest
 from ltv_mpc import Controller, ControllerConfig, Vehicle, references
 from ltv_mpc.control.config import Disturbance, ResolvedConfig, WeightSettings
 from ltv_mpc.control.lateral import RESTING_MPS
-from ltv_mpc.control.margins import Change, Loop, steady_state
+from ltv_mpc.control.margins import Change, Loop, Margins, steady_state
 from ltv_mpc.control.resolution import kept_share, proposed_slowness, settled
 from ltv_mpc.control.scaling import characteristic_scales, default_weights
 from ltv_mpc.vehicle.parameters import Translation
@@ -35,6 +36,8 @@ LIGHT = msgspec.structs.replace(
 )
 """Quick to turn, slow to stop drifting to the side."""
 SHARE = 0.35
+STRONG = 0.2
+"""Current of the flights, over the top speed."""
 CYCLE_NS = 300_000_000
 
 
@@ -107,9 +110,15 @@ def flown(
     return np.array(track)
 
 
-STRONG = 0.2
-"""Current of the flights, over the top speed."""
 OBSERVING = ControllerConfig(disturbance=Disturbance(sd_mps=0.15, max_mps=3.0, lever_arm_sd_m=0.0, model_sd=0.0))
+
+
+@cache
+def strong_current() -> tuple[ResolvedConfig, Loop, Margins]:
+    """Return the settings of the flights, their loop and its margins."""
+    config = settled(OBSERVING, BOAT)
+    loop = Loop(BOAT, config, STRONG)
+    return config, loop, loop.margins()
 
 
 @pytest.mark.parametrize(
@@ -123,9 +132,8 @@ OBSERVING = ControllerConfig(disturbance=Disturbance(sd_mps=0.15, max_mps=3.0, l
 )
 def test_an_error_dies_away_within_each_margin_and_grows_beyond_it(kind, field, sign):
     """While it is so small that the flight is linear in it: all margins are those of the motion to the side."""
-    config = settled(OBSERVING, BOAT)
-    loop = Loop(BOAT, config, STRONG)
-    margin = getattr(loop.margins(), kind)
+    config, loop, margins = strong_current()
+    margin = getattr(margins, kind)
     for part in (0.85, 1.3):
         change = Change(**{field: sign * round(part * margin, 2)})  # dead time in whole steps of the plant
         aside_m = np.abs(flown(BOAT, config, STRONG, change, off_m=1e-6, cycles=200)[:, 1])

@@ -10,7 +10,7 @@ from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter
 from ltv_mpc.localisation.filter.state import Belief, Layout
 from ltv_mpc.messages import AdcpPing, BottomTrack, LblRange, UsblFix
 from tests.ltv_mpc.localisation.dives import CONFIG as SHIPPED
-from tests.ltv_mpc.localisation.dives import PAPER, REALISTIC, Run, S, dive, error_of
+from tests.ltv_mpc.localisation.dives import PAPER, REALISTIC, Dive, Run, S, dive, error_of
 from tests.ltv_mpc.localisation.sensors.every_sensor import EVERY_SENSOR, with_settings
 
 LBL = replace(
@@ -44,7 +44,13 @@ TRACKING = replace(
 )
 SENSORS = replace(REALISTIC, lbl=LBL, usbl=USBL, bottom_track=TRACKING)
 CONFIG = replace(SHIPPED, deepest_m=5.0)
-DIVE = dive(SENSORS, 11, duration_s=60.0, bottom_m=40.0)
+
+
+def the_dive() -> Dive:
+    """Return the dive of this file: made once, and not where only its tests are collected."""
+    return dive(SENSORS, 11, duration_s=60.0, bottom_m=40.0)
+
+
 LATENCY_NS = {UsblFix: USBL.latency_ns, BottomTrack: TRACKING.latency_ns}
 
 
@@ -58,10 +64,10 @@ def arrival_ns(message):
 def drifts(aid=None):
     """Return horizontal error (m) and its deviation for each second, without the profiler, and the estimator."""
     others = {AdcpPing, LblRange, UsblFix, BottomTrack} - {aid}
-    run = Run(sorted((m for m in DIVE.messages if type(m) not in others), key=arrival_ns), SENSORS, CONFIG)
+    run = Run(sorted((m for m in the_dive().messages if type(m) not in others), key=arrival_ns), SENSORS, CONFIG)
     seconds = [estimate for t_ns, estimate in run.estimates.items() if t_ns > 0 and t_ns % S == 0]
     assert {e.altitude_m is None for e in seconds} == {aid is not BottomTrack}
-    errors = [(math.hypot(*error_of(e, DIVE)[:2]), math.sqrt(np.trace(e.covariance[:2, :2]))) for e in seconds]
+    errors = [(math.hypot(*error_of(e, the_dive())[:2]), math.sqrt(np.trace(e.covariance[:2, :2]))) for e in seconds]
     return errors, run.estimator
 
 

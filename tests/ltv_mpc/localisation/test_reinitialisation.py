@@ -17,7 +17,7 @@ from ltv_mpc.localisation.reinitialisation import (
 from ltv_mpc.messages import CompassHeading, FilterStatus, GnssFix, ImuSample, PressureDepth
 from tests.ltv_mpc.localisation.dives import CONFIG as SHIPPED
 from tests.ltv_mpc.localisation.dives import REALISTIC, S, error_of, normalised
-from tests.ltv_mpc.localisation.test_shadow_filter import BEGIN_NS, DIVE, healthy, returns, run_with
+from tests.ltv_mpc.localisation.test_shadow_filter import BEGIN_NS, healthy, returns, run_with, the_dive
 
 CONFIG = replace(SHIPPED, deepest_m=30.0, kept_m=5.0)
 BAD, GOOD = FilterStatus.INCONSISTENT, FilterStatus.NOMINAL
@@ -124,21 +124,21 @@ def test_without_a_recent_heading_it_waits_for_one():
 def test_an_estimator_whose_belief_is_corrupted_continues_at_the_next_estimate(spoil):
     """Not definite, or not a number, just before 20 s: reinitialised at 20 s, and no estimate is missing."""
     spoilt_ns, end_ns = 19_960_000_000, 24 * S
-    run = healthy().continued(m for m in DIVE.messages if BEGIN_NS < m.t_ns <= spoilt_ns)
+    run = healthy().continued(m for m in the_dive().messages if BEGIN_NS < m.t_ns <= spoilt_ns)
     belief = run.estimator.filter.belief
     if spoil == "covariance":
         belief.P[3, 3] = -1.0
     else:
         belief.x[0] = math.nan
-    run.feed(m for m in DIVE.messages if spoilt_ns < m.t_ns <= end_ns)
+    run.feed(m for m in the_dive().messages if spoilt_ns < m.t_ns <= end_ns)
     estimates, reports = run.estimates, run.reports
     assert all(math.isfinite(e.north_m) for e in estimates.values())
     assert list(estimates) == list(range(min(estimates), end_ns + 1, 100_000_000))
     assert reports[19 * S].status is FilterStatus.NOMINAL
     assert [reports[t * S].status for t in (20, 21, 24)] == [FilterStatus.RESTARTED] * 3
     assert reports[end_ns].restarts == 1
-    assert normalised(estimates[end_ns], DIVE, 4) < 18.5  # 99.9 % of chi-square of 4 degrees
-    assert abs(error_of(estimates[end_ns], DIVE)[4]) < 3 * math.radians(2.5)
+    assert normalised(estimates[end_ns], the_dive(), 4) < 18.5  # 99.9 % of chi-square of 4 degrees
+    assert abs(error_of(estimates[end_ns], the_dive())[4]) < 3 * math.radians(2.5)
     account = run.estimator.account
     assert account["pressure.used"] + account["pressure.gate"] <= 10 * 25 + 1  # none is counted twice
 
@@ -154,7 +154,7 @@ def test_known_water_determines_the_velocity_after_a_reinitialisation():
     assert 15 < min(inconsistent_s) <= 18
     sd = [run.estimates[t_s * S].covariance[2, 2] ** 0.5 for t_s in (14, 32)]
     assert sd[1] < 2.0 * sd[0]
-    assert abs(error_of(run.estimates[32 * S], DIVE)[2:4]).max() < 3.5 * sd[1]
+    assert abs(error_of(run.estimates[32 * S], the_dive())[2:4]).max() < 3.5 * sd[1]
     assert not returns(run)
 
 

@@ -8,9 +8,14 @@ from msgspec.structs import replace
 
 from ltv_mpc.localisation import shadow_filter
 from ltv_mpc.messages import AdcpPing, PressureDepth
-from tests.ltv_mpc.localisation.dives import REALISTIC, Run, S, dive, normalised
+from tests.ltv_mpc.localisation.dives import REALISTIC, Dive, Run, S, dive, normalised
 
-DIVE = dive(REALISTIC, 59, duration_s=34.0)
+
+def the_dive() -> Dive:
+    """Return the dive of this file: made once, and not where only its tests are collected."""
+    return dive(REALISTIC, 59, duration_s=34.0)
+
+
 BEGIN_NS = 15 * S
 """Begin of what is wrong in these tests."""
 
@@ -18,12 +23,12 @@ BEGIN_NS = 15 * S
 @cache
 def healthy():
     """Return the run of the first 15 s."""
-    return Run(m for m in DIVE.messages if m.t_ns <= BEGIN_NS)
+    return Run(m for m in the_dive().messages if m.t_ns <= BEGIN_NS)
 
 
 def run_with(change):
     """Return the run in which ``change`` alters the messages after 15 s."""
-    return healthy().continued(change(m) for m in DIVE.messages if m.t_ns > BEGIN_NS)
+    return healthy().continued(change(m) for m in the_dive().messages if m.t_ns > BEGIN_NS)
 
 
 def returns(run):
@@ -56,7 +61,7 @@ def pressure_off(message):
 @pytest.mark.parametrize("late", [False, True])
 def test_twelve_seconds_of_a_wrong_profiler_leave_no_error(late):
     """The position of a new filter is uncertain by 3 m, and it may have believed the wrong profiler."""
-    messages = [of_profiler(off, until_s=27.0)(m) for m in DIVE.messages if m.t_ns > BEGIN_NS]
+    messages = [of_profiler(off, until_s=27.0)(m) for m in the_dive().messages if m.t_ns > BEGIN_NS]
     messages.sort(key=lambda m: m.t_ns + 510_000_000 * (late and isinstance(m, AdcpPing)))
     after = healthy().continued(messages)
     assert after.reports[27 * S].restarts == after.reports[34 * S].restarts == 1
@@ -64,7 +69,7 @@ def test_twelve_seconds_of_a_wrong_profiler_leave_no_error(late):
     sd = {t_s: after.estimates[t_s * S].covariance[0, 0] ** 0.5 for t_s in (14, 27, 34)}
     assert sd[27] > 2.0
     assert sd[34] < sd[14] + 0.1
-    assert normalised(after.estimates[34 * S], DIVE, 4) < 18.5  # 99.9 % of chi-square of 4 degrees
+    assert normalised(after.estimates[34 * S], the_dive(), 4) < 18.5  # 99.9 % of chi-square of 4 degrees
     assert list(after.estimates) == list(range(min(after.estimates), 34 * S + 1, 100_000_000))
     account = after.estimator.account
     assert account["pressure.used"] + account["pressure.gate"] <= 10 * 35 + 1  # none is counted twice

@@ -16,17 +16,21 @@ from ltv_mpc.localisation.warm_restart import WarmRestart
 from ltv_mpc.messages import Estimate, EstimatorState, FilterStatus, ImuSample, PressureDepth
 from services.bus.wire import Header, decode, encode
 from tests.ltv_mpc.localisation.dives import CONFIG as SHIPPED
-from tests.ltv_mpc.localisation.dives import PAPER, REALISTIC, Run, S, dive, normalised
+from tests.ltv_mpc.localisation.dives import PAPER, REALISTIC, Dive, Run, S, dive, normalised
 
 CONFIG = replace(SHIPPED, deepest_m=60.0, kept_m=0.0)
 GAP_NS = 3 * S
-DIVE = dive(REALISTIC, 4, duration_s=20.0)
+
+
+def the_dive() -> Dive:
+    """Return the dive of this file: made once, and not where only its tests are collected."""
+    return dive(REALISTIC, 4, duration_s=20.0)
 
 
 @pytest.fixture(scope="module")
 def whole():
     """Twenty seconds of a dive without a gap."""
-    return Run(DIVE.messages, config=CONFIG)
+    return Run(the_dive().messages, config=CONFIG)
 
 
 @pytest.fixture
@@ -38,7 +42,7 @@ def restored(whole, died_ns, *, estimate=True, **changed):
     """Return the run of an estimator that replaces one that stopped at ``died_ns``, after the gap."""
     state = [state for state in whole.of(EstimatorState) if state.t_ns <= died_ns][-1]
     state = replace(state, estimate=whole.estimates[died_ns] if estimate else None, **changed)
-    after = (m for m in DIVE.messages if m.t_ns > died_ns + GAP_NS)
+    after = (m for m in the_dive().messages if m.t_ns > died_ns + GAP_NS)
     return Run(after, config=CONFIG, state=state)
 
 
@@ -49,7 +53,7 @@ def test_a_checkpoint_is_published_first_every_five_seconds_and_at_submergence(w
 
 
 def test_a_checkpoint_restores_the_filters_belief_to_the_bit_over_the_wire_too():
-    filter_ = Run(DIVE.messages, config=CONFIG).estimator.filter
+    filter_ = Run(the_dive().messages, config=CONFIG).estimator.filter
     filter_.belief.x[2] += 15.0  # deep enough for the window of depths to have gone down
     filter_.correct(PressureDepth(t_ns=filter_.belief.t_ns, depth_m=float(filter_.belief.x[2])))
     t_ns, nothing = filter_.belief.t_ns + 10_000_000, (0.0, 0.0, 0.0)
@@ -83,7 +87,7 @@ def test_a_checkpoint_of_other_settings_is_not_used(checkpoints):
     assert belief_of(checkpoint, REALISTIC, replace(CONFIG, current_sd_mps=0.05), None) is None
     assert belief_of(checkpoint, PAPER, CONFIG, None) is None
     assert belief_of(replace(checkpoint, first_grid_point=60), REALISTIC, CONFIG, None) is None
-    estimator = Run(DIVE.messages[:3], config=coarser, state=checkpoint).estimator
+    estimator = Run(the_dive().messages[:3], config=coarser, state=checkpoint).estimator
     assert estimator.account["checkpoint.other_settings"] == 1
     assert estimator.waiting_for != ""  # as if there were none
 
@@ -94,11 +98,11 @@ def test_a_warm_restart_under_water_is_immediate_and_consistent(whole):
     for died_ns in range(8 * S, 15 * S, S):
         run = restored(whole, died_ns)
         assert min(run.estimates) <= died_ns + GAP_NS + 2 * CONFIG.estimate_period_ns
-        worst += [normalised(estimate, DIVE) for estimate in run.estimates.values()]
+        worst += [normalised(estimate, the_dive()) for estimate in run.estimates.values()]
         assert {report.status for report in run.reports.values()} == {FilterStatus.RESTARTED}
         assert all("checkpoint" in report.why for report in run.reports.values())
     assert max(worst) < 28.5  # chi-square of 5 degrees of freedom, 3e-5
-    assert not Run((m for m in DIVE.messages if m.t_ns > 10 * S), config=CONFIG).estimates
+    assert not Run((m for m in the_dive().messages if m.t_ns > 10 * S), config=CONFIG).estimates
 
 
 def test_measurements_after_the_gap_determine_the_displacement_within_it(whole):
@@ -159,7 +163,7 @@ def test_a_warm_restart_skips_used_messages_and_keeps_the_last_uncertainty(whole
     """Messages that were under way when it stopped, and an estimate less certain than the checkpoint."""
     uncertain = replace(whole.estimates[12 * S], covariance=np.diag([400.0, 900.0, 4.0, 9.0, 0.25, 1e-6]))
     state = replace(checkpoints[10 * S], estimate=uncertain)
-    after = (m for m in DIVE.messages if 11.5 * S < m.t_ns < 12.25 * S)
+    after = (m for m in the_dive().messages if 11.5 * S < m.t_ns < 12.25 * S)
     first = Run(after, config=CONFIG, state=state).of(Estimate)[0]
     assert first.t_ns == 12 * S + CONFIG.estimate_period_ns
     assert first.covariance[0, 0] > 400.0
@@ -170,7 +174,7 @@ def test_repeating_past_operations_reports_progress():
     """Otherwise the supervisor would take it for a hang."""
     signs = []
     estimator = Estimator(REALISTIC, CONFIG, progress=lambda: signs.append(None))
-    Run((m for m in DIVE.messages if m.t_ns <= 3 * S), estimator=estimator)
+    Run((m for m in the_dive().messages if m.t_ns <= 3 * S), estimator=estimator)
     before = len(signs)
     Run([PressureDepth(t_ns=2 * S + 5_000_000, depth_m=0.4)], estimator=estimator)
     assert len(signs) - before > 90  # a second of samples

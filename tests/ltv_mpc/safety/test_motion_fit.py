@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 
 import numpy as np
 import pytest
@@ -24,6 +25,7 @@ def ns(seconds: float) -> int:
     return round(seconds * 1e9)
 
 
+@cache
 def steered(seconds: float, *, mass: float = 1.0, drag: float = 1.0, port: float = 1.0, wind_mps2: float = 0.0):
     """Return times, states (n', e', psi, r) over ground and thrusts of the vehicle with factors, in a current.
 

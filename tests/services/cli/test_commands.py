@@ -19,6 +19,8 @@ from services.cli.app import run
 from services.processes import recorder
 from services.recording.reader import Recording
 
+pytestmark = pytest.mark.usefixtures("without_report")
+
 
 def cli(line: str) -> int:
     return run(line.split())

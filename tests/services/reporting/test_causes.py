@@ -107,7 +107,7 @@ CAUSES: dict[str, tuple[str, dict[str, Any], list[str], str | None, dict[str, An
     ),
     "current above the top speed": (
         "hover",
-        {**KNOWN, "duration_s": 12.0, "water": {"sd_mps": 1.0}},
+        {**KNOWN, "duration_s": 12.0, "surface_time_s": 1.0, "water": {"sd_mps": 1.0}},
         ["was not sufficient", "The thrust limits bound it", "weaker current"],
         None,
         {"water": {"sd_mps": 0.1}},
@@ -143,7 +143,7 @@ CAUSES: dict[str, tuple[str, dict[str, Any], list[str], str | None, dict[str, An
     "slew": ("hover", {**SHORT, "vehicle": "slow.toml"}, ["The slew limit bounds it"], None, RIGHT),
     "noise": (
         "hover",
-        {"seed": 3, "duration_s": 15.0, "sensors": "noisy.toml"},
+        {"seed": 3, "duration_s": 15.0, "surface_time_s": 10.0, "sensors": "noisy.toml"},
         ["Noise of the estimate"],
         "--perfect-state",
         {"perfect_state": True},

@@ -160,6 +160,7 @@ def test_the_estimator_starts_from_the_file_and_so_does_whoever_reads_its_estima
     assert (informed.sd_mps[deep] < 0.5 * alone.sd_mps[deep]).all()
 
 
+@pytest.mark.usefixtures("without_report")
 def test_the_folder_holds_prior_and_currents_and_runs_again_without_the_files_they_came_from(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

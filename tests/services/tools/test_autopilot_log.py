@@ -26,7 +26,7 @@ from tests.ltv_mpc.vehicles import changed
 from tests.services.edges.mavlink.items import codec
 
 BOAT = Vehicle.load("bluerobotics-boat")
-STEP_S, SECONDS, PERIOD = 0.02, 150.0, 5
+STEP_S, SECONDS, PERIOD = 0.02, 80.0, 5
 HEADER = b"\xa3\x95"
 FORMATS = {
     "PARM": (10, "QNff", "TimeUS,Name,Value,Default"),
@@ -47,11 +47,11 @@ class Sample(NamedTuple):
 
 
 @cache
-def drive() -> tuple[Sample, ...]:
+def drive(seconds: float = SECONDS) -> tuple[Sample, ...]:
     """Return a drive with thrusts that change every 4 s; the motors follow the PWM with lag and slew of the file."""
     rng, thrusters, p = np.random.default_rng(3), BOAT.thrusters[:2], BOAT.coefficients()
     x, F, wanted, samples = np.zeros(6), np.zeros(2), np.zeros(2), []
-    for k in range(round(SECONDS / STEP_S)):
+    for k in range(round(seconds / STEP_S)):
         if k % 200 == 0:
             wanted = rng.uniform(-0.5, 0.9, 2) * 40.0
         pwm = tuple(round(float(np.interp(wanted[i], thrusters[i].pwm_N, thrusters[i].pwm_us))) for i in range(2))
@@ -98,7 +98,7 @@ def data_flash(path: Path, functions: dict[str, float], events: dict[int, int]) 
     path.write_bytes(data)
 
 
-def telemetry(path: Path, started_us: int, restarts: bool) -> None:
+def telemetry(path: Path, started_us: int, restarts: bool, seconds: float = SECONDS) -> None:
     """Write a log that begins so long after the start of the autopilot, which ``restarts`` in the middle."""
     make, other, data = codec(), codec(2), bytearray()
 
@@ -106,9 +106,9 @@ def telemetry(path: Path, started_us: int, restarts: bool) -> None:
         nonlocal data
         data += struct.pack(">Q", 1_700_000_000_000_000 + t_us) + by.encode(message)
 
-    middle = len(drive()) // 2
-    for k, (drive_us, x, pwm) in enumerate(drive()):
-        t_us = drive()[k - middle].t_us if restarts and k >= middle else started_us + drive_us
+    samples, middle = drive(seconds), len(drive(seconds)) // 2
+    for k, (drive_us, x, pwm) in enumerate(samples):
+        t_us = samples[k - middle].t_us if restarts and k >= middle else started_us + drive_us
         north, east = over_ground(x)
         add(t_us, other.make.attitude_encode(t_us // 1000, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0), other)
         if k % 10 == 0:
@@ -154,7 +154,7 @@ def test_a_log_has_the_motion_of_the_drive_its_thrusts_and_when_it_was_armed(kin
 
 def test_the_vehicle_that_made_a_log_is_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log, wrong = tmp_path / "restarted.tlog", tmp_path / "wrong.toml"
-    KINDS[log.name](log)
+    telemetry(log, 1_000_000_000, restarts=True, seconds=150.0)
     true = {"surge.mass_kg": BOAT.surge.mass_kg, "sway.mass_kg": BOAT.sway.mass_kg}
     too_much = {key: 1.4 * value for key, value in (true | {"yaw.inertia_kgm2": BOAT.yaw.inertia_kgm2}).items()}
     wrong.write_text(to_toml(changed(BOAT, too_much)))
@@ -196,7 +196,7 @@ def test_damage_costs_itself_alone(name: str, tmp_path: Path, capfd: pytest.Capt
     if name.endswith("tlog"):
         data[len(data) // 2] ^= 1
     else:
-        stamp = struct.pack("<Q", drive()[700].t_us)
+        stamp = struct.pack("<Q", drive()[400].t_us)
         xkf1, rcou = (data.index(HEADER + bytes([number]) + stamp) for number in (13, 14))
         data[xkf1 + 18 : xkf1 + 22] = struct.pack("<f", math.nan)  # VN
         data[rcou + 3 : rcou + 11] = struct.pack("<Q", 2**50)

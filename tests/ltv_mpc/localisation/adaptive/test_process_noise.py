@@ -14,7 +14,7 @@ from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter
 from ltv_mpc.localisation.filter.state import ATTITUDE, GYRO_BIAS, VELOCITY, Belief, Layout
 from ltv_mpc.localisation.sensors.adcp import beam_directions
 from ltv_mpc.messages import ImuSample
-from tests.ltv_mpc.localisation.dives import CONFIG, PAPER, Run, dive, with_water
+from tests.ltv_mpc.localisation.dives import CONFIG, PAPER, Dive, Run, dive, with_water
 
 BLIND = replace(CONFIG, adapts_to_water=False)
 SECOND = 1_000_000_000
@@ -93,13 +93,15 @@ def same(one, other):
     return np.array_equal(one.belief.x, other.belief.x) and np.array_equal(one.belief.P, other.belief.P)
 
 
-DIVE = dive(PAPER, 40, duration_s=END_S)
+def the_dive() -> Dive:
+    """Return the dive of this file: made once, and not where only its tests are collected."""
+    return dive(PAPER, 40, duration_s=END_S)
 
 
 def test_water_that_follows_its_prior_gives_bitwise_the_same_estimate(inflations):
-    adapting = after_calm(DIVE.messages)
+    adapting = after_calm(the_dive().messages)
     assert inflations == []
-    assert same(adapting, run(DIVE.messages, BLIND))
+    assert same(adapting, run(the_dive().messages, BLIND))
 
 
 def test_a_front_is_detected_within_seconds_and_velocity_is_then_consistent(inflations):
@@ -118,13 +120,13 @@ def test_a_front_is_detected_within_seconds_and_velocity_is_then_consistent(infl
 
 def test_inflation_lasts_as_long_as_the_current_drifts(inflations):
     """0.24 m/s in 16 s: detected in its first seconds, and inflated for longer than the 10 s of a short front."""
-    filter_ = after_calm(with_water(DIVE, ramp(0.24, 20.0, 16.0)))
+    filter_ = after_calm(with_water(the_dive(), ramp(0.24, 20.0, 16.0)))
     assert [one.level for one in inflations] == [FAST]
     held_ns = inflations[0].until_ns
     assert held_ns < 35 * SECOND  # ten seconds would have ended before it
     assert filter_.process_noise.level(held_ns + 2 * SECOND) is FAST
     assert filter_.process_noise.level(41 * SECOND) is NONE
-    assert off_by(filter_, DIVE) < 9.2
+    assert off_by(filter_, the_dive()) < 9.2
 
 
 def test_a_front_that_no_mean_shows_is_compensated(inflations, monkeypatch):
@@ -138,11 +140,11 @@ def test_a_front_that_no_mean_shows_is_compensated(inflations, monkeypatch):
 
 
 def test_waves_are_detected_and_the_currents_are_then_consistent(inflations):
-    messages, square = with_water(DIVE, waves), {}
+    messages, square = with_water(the_dive(), waves), {}
     for config in (CONFIG, BLIND):
         belief, nodes = run(messages, config).belief, np.arange(14, 30)  # those that are still seen
         k = belief.layout.north.start + nodes - belief.column.first
-        e = belief.x[k] - DIVE.water[nodes, 0] - waves(END_S, nodes)
+        e = belief.x[k] - the_dive().water[nodes, 0] - waves(END_S, nodes)
         square[config.adapts_to_water] = e @ np.linalg.solve(belief.P[np.ix_(k, k)], e) / len(nodes)
     assert SLOW in {one.level for one in inflations}
     assert square[True] < 2.5 < 5 < square[False]
@@ -157,21 +159,21 @@ def test_a_step_between_two_cells_is_noticed(inflations):
 def test_a_gyro_that_fails_is_not_taken_for_a_front_again_and_again(inflations):
     """30 deg/h, thirty times the specified bias: the filter learns it and stays consistent."""
     fault, messages = math.radians(30.0) / 3600.0, []
-    for message in DIVE.messages:
+    for message in the_dive().messages:
         if isinstance(message, ImuSample) and message.t_ns > 12 * SECOND:
             p, q, r = message.angular_rate_radps
             message = replace(message, angular_rate_radps=(p + fault, q, r))
         messages.append(message)
     filter_ = after_calm(messages)
     assert [one.level for one in inflations] == [FAST, AND_IMU]
-    assert off_by(filter_, DIVE) < 9.2  # 99 % of chi-square of 2 degrees; of FAST alone, some eighty
+    assert off_by(filter_, the_dive()) < 9.2  # 99 % of chi-square of 2 degrees; of FAST alone, some eighty
     sd = np.sqrt(filter_.belief.P[GYRO_BIAS.start, GYRO_BIAS.start])
     assert abs(filter_.belief.x[GYRO_BIAS.start] - fault) < 3 * sd < 3 * fault
 
 
 def test_inflation_applies_from_ten_seconds_before_its_detection(inflations):
     """Reference: a filter that is inflated at that instant and never goes back."""
-    messages = with_water(DIVE, FRONT)
+    messages = with_water(the_dive(), FRONT)
     adapted = after_calm([m for m in messages if m.t_ns <= 26 * SECOND])
     assert len(inflations) == 1
     _, at_ns, from_ns, until_ns = inflations.pop()
@@ -187,7 +189,7 @@ def test_a_second_inflation_that_goes_back_beyond_the_first_keeps_it(monkeypatch
     monkeypatch.setattr(
         AdaptiveProcessNoise, "required_level", lambda _, t_ns, _began: calls.pop(t_ns // 333_333_333, NONE)
     )
-    water = after_calm([m for m in DIVE.messages if m.t_ns <= 35 * SECOND]).process_noise
+    water = after_calm([m for m in the_dive().messages if m.t_ns <= 35 * SECOND]).process_noise
     assert calls == {}
     assert water.level(35 * SECOND) is SLOW
 
