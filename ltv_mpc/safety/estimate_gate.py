@@ -164,10 +164,10 @@ class EstimateGate:
         """
         self.growth_m = 0.0
         of = newest if self.check(newest) in {TOO_FAST, TURNS_TOO_FAST} else self.accepted
-        if of is None:
-            return None
-        used = self.filter.with_rates(of)  # an impossible rate, too: once it has failed, it rejects no estimate
-        return self.accepted and self.filter.with_position(used if of is self.accepted else self.accepted)
+        used = (
+            None if of is None else self.filter.update(of)
+        )  # an impossible rate, too: once it has failed, it is no reason
+        return used if of is self.accepted else self.accepted
 
     def health(self, t_ns: int) -> HealthState:
         """Return the health by the age of the newest accepted estimate, and by ``limit_growth``.

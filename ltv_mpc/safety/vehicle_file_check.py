@@ -9,7 +9,7 @@ its data sheet (docs/notes/lever-arm.md).
 Estimates that are older than their stamps move the origin to another time, and with a slip of the installation
 (``installation_slips.py``) no value of the fit means anything, so while either is named, nothing else is.
 Nor is the file while waves carry the vehicle, since what they do to it, no noise of the fit is like, or while the
-estimates contradict themselves (``rate_check.py``).
+estimates contradict themselves (``kinematic_filter.py``).
 """
 
 from __future__ import annotations

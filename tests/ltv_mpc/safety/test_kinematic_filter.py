@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from ltv_mpc.safety.rate_check import AGREED, RateCheck
+from ltv_mpc.safety.kinematic_filter import AGREED, KinematicFilter
 
-TOP_MPS, ACCELERATION_MPS2, PERIOD_S = 1.4, 1.0, 0.3
+TOP_MPS, ACCELERATION_MPS2, CLEAN_M, PERIOD_S = 1.4, 1.0, 0.03, 0.3
 
 
 def track(number: int, period_s: float = PERIOD_S) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -25,10 +25,14 @@ def track(number: int, period_s: float = PERIOD_S) -> tuple[np.ndarray, np.ndarr
     return (t * 1e9).astype(int), x, speed[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1)
 
 
-def checked(t_ns, x, w, sd=(0.0, 0.0)) -> tuple[RateCheck, list[tuple[np.ndarray, np.ndarray] | None]]:
+def checked(t_ns, x, w, sd=(0.0, 0.0)) -> tuple[KinematicFilter, list[tuple[np.ndarray, np.ndarray] | None]]:
     """Return the check after a track, and what it gave at each estimate."""
-    check = RateCheck(TOP_MPS, ACCELERATION_MPS2)
-    return check, [check.update(int(t), *row, sd) for t, *row in zip(t_ns, x, w, strict=True)]
+    check, found = KinematicFilter(TOP_MPS, ACCELERATION_MPS2, CLEAN_M), []
+    for t, *row in zip(t_ns, x, w, strict=True):
+        used = check.update(int(t), *row, sd)
+        assert (used[1] is row[1]) is not check.failed
+        found.append(used if check.failed else None)
+    return check, found
 
 
 @pytest.mark.parametrize("period_s", [0.02, 0.1, 0.3, 1.0])
@@ -95,9 +99,22 @@ def test_a_clock_that_is_set_back_and_a_long_gap_begin_anew_and_a_repeated_estim
     later = check.update(int(t_ns[-1]) + 5_000_000_000, x[-1] + 4.0, w[-1], (0.0, 0.0))
     assert check.failed
     assert np.isfinite(later).all()
-    assert check.update(0, x[0], w[0], (0.0, 0.0)) is None
+    check.update(0, x[0], w[0], (0.0, 0.0))
+    assert not check.failed
     t_ns, x, w = track(400, 2.5)
     assert not any(checked(t_ns, x, 0.0 * w)[1])  # nothing is known of the velocity in between
+
+
+@pytest.mark.parametrize("noise_m", [0.05, 0.3, 2.0])
+def test_noisy_positions_without_a_deviation_are_filtered_and_clean_ones_are_used_as_they_are(noise_m):
+    t_ns, x, w = track(400)
+    noisy = x + noise_m * np.random.default_rng(4).standard_normal(x.shape)
+    check = KinematicFilter(TOP_MPS, ACCELERATION_MPS2, CLEAN_M)
+    filtered = np.array([check.update(int(t), *row, (0.0, 0.0))[0] for t, *row in zip(t_ns, noisy, w, strict=True)])
+    assert np.sqrt(np.mean((filtered - x)[100:] ** 2)) < 0.3 * noise_m + 0.01
+    for given, sd in ((noisy, (noise_m, 0.0)), (x, (0.0, 0.0)), (x + 4.0 * (t_ns > 3e10)[:, None], (0.0, 0.0))):
+        check = KinematicFilter(TOP_MPS, ACCELERATION_MPS2, CLEAN_M)
+        assert all(check.update(int(t), *row, sd)[0] is row[0] for t, *row in zip(t_ns, given, w, strict=True))
 
 
 def test_noise_of_a_yaw_rate_and_an_angle_that_is_unwrapped_are_no_failure():
