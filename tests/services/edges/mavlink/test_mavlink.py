@@ -180,20 +180,20 @@ def test_while_it_has_released_nothing_is_learned_and_then_the_boat_does_not_lun
     flight.fly(3.0)
     flight.arm()
     flight.command(action="arm")
-    flight.fly(50.0)
+    flight.fly(30.0)
     heading = flight.autopilot.boat.attitude()[2]
     flight.hull.x[0] -= 5.0 * math.cos(heading)
     flight.hull.x[1] -= 5.0 * math.sin(heading)
     observer = flight.node.controller.observer
     believed = observer.bias_mps
     flight.arm(mode=4)
-    flight.fly(30.0)
+    flight.fly(15.0)
     np.testing.assert_allclose(observer.bias_mps, believed, atol=0.005)
     why = "not driving: autopilot in mode HOLD; set MANUAL"
     assert flight.plans[-1].health_why == why
     assert f"LTV-MPC: {why}" in flight.autopilot.log
     flight.arm(mode=0)
-    track = flight.fly(50.0)
+    track = flight.fly(30.0)
     way = -track[0] / np.linalg.norm(track[0])
     assert (track @ way).max() < 0.3
     assert farthest_m(track[-500:]) < 0.3
