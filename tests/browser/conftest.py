@@ -1,4 +1,4 @@
-"""A real browser, and what it looks at: the reports of two short runs, and the live page of a synthetic vehicle.
+"""A real browser, and what it looks at: the report of a short run, and the live page of a synthetic vehicle.
 
 Needs chromium or chrome on PATH. Without one the tests of this folder skip; with REQUIRE_BROWSER=1 they fail.
 """
@@ -127,16 +127,15 @@ def large_letters(launch: Callable[..., Any]) -> Any:
     return launch("--blink-settings=defaultFontSize=32")
 
 
+LOCKSTEP = ("sim", "--lockstep", "--surface-time-s", "1", "--json")
+
+
 @pytest.fixture(scope="module")
-def reports(browser: object, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:  # noqa: ARG001  (skips first)
-    """Return the reports of a 10 s run in lock step and of that run compared with another."""
-    folder = tmp_path_factory.mktemp("runs")
-    options = ["sim", "--lockstep", "--surface-time-s", "1", "--json"]
-    assert app.run([*options, "--duration-s", "10", "--out", str(folder / "ten")]) == 0
-    assert app.run([*options, "--duration-s", "2", "--no-control", "--out", str(folder / "two")]) == 0
-    both = folder / "both"
-    assert app.run(["report", str(folder / "ten"), str(folder / "two"), "--out", str(both)]) == 0
-    return folder / "ten" / "report.html", both / "report.html"
+def report(browser: object, tmp_path_factory: pytest.TempPathFactory) -> Path:  # noqa: ARG001  (skips first)
+    """Return the report of a 10 s run in lock step."""
+    folder = tmp_path_factory.mktemp("runs") / "ten"
+    assert app.run([*LOCKSTEP, "--duration-s", "10", "--out", str(folder)]) == 0
+    return folder / "report.html"
 
 
 @pytest.fixture(scope="module")

@@ -69,9 +69,9 @@ def opened(browser: Any, what: str, live: Served, report: Path) -> Iterator[Any]
 
 
 @pytest.fixture(scope="module", params=["report", "live page"])
-def shown(request: pytest.FixtureRequest, browser: Any, live: Served, reports: tuple[Path, Path]) -> Iterator[Any]:
+def shown(request: pytest.FixtureRequest, browser: Any, live: Served, report: Path) -> Iterator[Any]:
     """Open a page for all tests that look at it; the last of them ends the run of the live page."""
-    with opened(browser, request.param, live, reports[0]) as page:
+    with opened(browser, request.param, live, report) as page:
         yield page
 
 
@@ -118,8 +118,8 @@ def test_the_keyboard_reaches_every_control(shown: Any) -> None:
 
 
 @pytest.mark.parametrize("shown", ["live page"], indirect=True)
-def test_after_the_end_everyone_can_use_the_page(shown, live, reports, axe) -> None:
-    with ended(live, reports[0]):
+def test_after_the_end_everyone_can_use_the_page(shown, live, report, axe) -> None:
+    with ended(live, report):
         until(lambda: shown.locator("#finished a").count() == 1)
         check_with_axe(shown, axe)
         check_keyboard(shown, 18, ("Tab",))
@@ -127,8 +127,8 @@ def test_after_the_end_everyone_can_use_the_page(shown, live, reports, axe) -> N
 
 
 @pytest.mark.parametrize("what", ["live page", "report"])
-def test_text_of_twice_the_size_loses_nothing(large_letters, live, reports, what) -> None:
-    with opened(large_letters, what, live, reports[0]) as page:
+def test_text_of_twice_the_size_loses_nothing(large_letters, live, report, what) -> None:
+    with opened(large_letters, what, live, report) as page:
         assert page.evaluate("getComputedStyle(document.querySelector('h1')).fontSize") == "32px"
         assert page.evaluate("getComputedStyle(document.querySelector('#plot-depth .xtitle')).fontSize") == "22px"
         for _ in looks(page):

@@ -165,14 +165,14 @@ def test_the_view_from_above_follows_the_vehicle_or_shows_the_whole_track(shown:
     until(lambda: shown.evaluate(width) > 6)
 
 
-def test_after_the_end_of_a_run_the_page_says_so_and_keeps_the_report(live, reports, shown) -> None:
+def test_after_the_end_of_a_run_the_page_says_so_and_keeps_the_report(live, report, shown) -> None:
     until(lambda: shown.locator("#buttons button:enabled").count() > 0)
     live.vehicle.finished = True
     until(lambda: shown.inner_text("#link") == "finished")
     assert str(live.report) in shown.inner_text("#finished")
     assert "ltv-mpc sim one" in shown.inner_text("#finished")
     assert shown.locator("#finished a").count() == 0
-    live.report.write_bytes(reports[0].read_bytes())
+    live.report.write_bytes(report.read_bytes())
     until(lambda: shown.locator("#finished a").count() == 1)
     until(lambda: live.views[-1] is View.HAS_REPORT)
     live.cut()

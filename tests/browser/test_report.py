@@ -9,9 +9,10 @@ from typing import Any
 
 import pytest
 
+from services.cli import app
 from services.reporting.plots.catalogue import PLOTS
 from services.reporting.plots.description import Group
-from tests.browser.conftest import PHONE, SCREEN, SETTLED, background, drawn, fits, looks, tab
+from tests.browser.conftest import LOCKSTEP, PHONE, SCREEN, SETTLED, background, drawn, fits, looks, tab
 from tests.waiting import until
 
 PICTURES = {0: ("SVG", b"<svg"), 4: ("PNG", b"\x89PNG")}
@@ -22,10 +23,10 @@ UNTIMED = ("latency", "stages")
 
 
 @pytest.fixture(scope="module")
-def shown(browser: Any, reports: tuple[Path, Path]) -> Iterator[Any]:
+def shown(browser: Any, report: Path) -> Iterator[Any]:
     """Open the report of one run on a phone; its tests change nothing that another one looks at."""
-    with tab(browser, PHONE, own=reports[0].as_uri(), scheme="dark") as page:
-        page.goto(reports[0].as_uri())
+    with tab(browser, PHONE, own=report.as_uri(), scheme="dark") as page:
+        page.goto(report.as_uri())
         assert background(page) == "dark"
         yield page
 
@@ -40,9 +41,13 @@ def test_a_run_s_report_shows_every_plot_at_every_size(shown: Any) -> None:
     assert "arm accepted" in shown.inner_text(".events")
 
 
-def test_the_report_of_two_runs_shows_both(browser: Any, reports: tuple[Path, Path]) -> None:
-    with tab(browser, SCREEN, own=reports[1].as_uri()) as page:
-        page.goto(reports[1].as_uri())
+@pytest.mark.usefixtures("without_report")
+def test_the_report_of_two_runs_shows_both(browser: Any, report: Path, tmp_path: Path) -> None:
+    two, both = tmp_path / "two", tmp_path / "both" / "report.html"
+    assert app.run([*LOCKSTEP, "--duration-s", "2", "--no-control", "--out", str(two)]) == 0
+    assert app.run(["report", str(report.parent), str(two), "--out", str(both.parent)]) == 0
+    with tab(browser, SCREEN, own=both.as_uri()) as page:
+        page.goto(both.as_uri())
         drawn(page, but=tuple(one.name for one in PLOTS if not any(series.compared for series in one.series)) + UNTIMED)
         assert page.locator("#runs li").all_inner_texts() == ["ten", "two"]
         colours = page.evaluate("[...document.querySelectorAll('#plot-track .js-line')].map(one => one.style.stroke)")
