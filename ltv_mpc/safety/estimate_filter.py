@@ -18,6 +18,8 @@ from ltv_mpc.safety.health import NOMINAL, HealthState
 from ltv_mpc.safety.kinematic_filter import KinematicFilter
 from ltv_mpc.vehicle.parameters import Vehicle
 
+CHECKED = "sign, unit and axes, and that they are filled in and over ground"
+
 CLEAN_M = 0.03
 """Noise of the positions up to which they are used as they are."""
 
@@ -47,7 +49,7 @@ class EstimateFilter:
         """Degraded while a rate is derived."""
         rates = [(self.velocity, "velocities", "positions"), (self.yaw_rate, "yaw rates", "headings")]
         failed = [f"the {rate} of the estimates are not those of the {of}" for check, rate, of in rates if check.failed]
-        return HealthState(Health.DEGRADED, "; ".join(failed)) if failed else NOMINAL
+        return HealthState(Health.DEGRADED, f"{'; '.join(failed)}: check {CHECKED}") if failed else NOMINAL
 
     def update(self, estimate: Estimate) -> Estimate:
         """Return an estimate with filtered position and derived rates; itself where nothing needs it.

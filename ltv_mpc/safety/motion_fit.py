@@ -116,14 +116,14 @@ def impulses(rows: Array, t: float) -> Pair:
     return at[3] + s * at[1] + half * (later[1] - at[1]), at[4] + s * at[2] + half * (later[2] - at[2])
 
 
-T, VELOCITY, HEADING, YAW_RATE, PROFILE, SEGMENT, POSITION = 0, slice(1, 3), 3, 4, slice(5, 7), 7, slice(8, 10)
+T, VELOCITY, HEADING, YAW_RATE, PROFILE, SEGMENT = 0, slice(1, 3), 3, 4, slice(5, 7), 7
 """Columns of the motion."""
 
 
 class Record(NamedTuple):
     """Record of estimates and thrusts, by time."""
 
-    motion: Array  # (K, 10) time (s), velocity over ground, heading, yaw rate, the profile's current, segment, position
+    motion: Array  # (K, 8) time (s), velocity over ground, heading, yaw rate, the profile's current, segment
     thrust: Array  # (R, 5) time (s), of port and starboard (N), and their impulses (N s)
 
 
@@ -231,7 +231,7 @@ class MotionFit:
         most = np.full(SIZE, np.inf)
         most[:2], most[MODEL : MODEL + 6], most[DELAY] = top_mps, MAX_LOGS[:6], MAX_DELAY_S
         self._bounds = np.where(np.arange(SIZE) == DELAY, 0.0, -most), most
-        self._motion = np.empty((0, 10))
+        self._motion = np.empty((0, 8))
         self.segments: Segments | None = None
         """Segments of the last step."""
         self._impulse, self.reported_ns = ThrustImpulse(MEMORY_S + MAX_DELAY_S), 0
@@ -242,7 +242,7 @@ class MotionFit:
         """What they are at least, with their signs; 0 where they may be none."""
         # compiled before it is needed
         current_at_depth(np.zeros(1), np.zeros(1), np.zeros(1), 0.0)
-        _fill_misfit(self.x, self._file, np.zeros((1, 10)), np.zeros((1, 5)), np.empty((3, 1)))
+        _fill_misfit(self.x, self._file, np.zeros((1, 8)), np.zeros((1, 5)), np.empty((3, 1)))
 
     def add_thrust(self, t_ns: int, thrust_N: Triple | Array, *, reported: bool = True) -> None:
         """Add the delivered thrusts at a time.
@@ -276,8 +276,7 @@ class MotionFit:
             self._begin_s, segment = t, segment + 1.0
         water = current_at_depth(*profile_of(estimate.current), estimate.depth_m or 0.0)
         over_ground = estimate.velocity_north_mps, estimate.velocity_east_mps
-        heading, position = estimate.heading_rad, (estimate.north_m, estimate.east_m)
-        row = t, *over_ground, heading, estimate.yaw_rate_radps, *water, segment, *position
+        row = t, *over_ground, estimate.heading_rad, estimate.yaw_rate_radps, *water, segment
         self._motion = np.concatenate([motion, [row]])
         self._new += 1
         if self._new >= EVALUATED:
@@ -362,7 +361,7 @@ class MotionFit:
 
 @jit_outlined
 def _fill_misfit(x: Array, file: Array, motion: Array, thrust: Array, out: Array) -> None:
-    """Write the errors (3, K) of u, v and r, by the rows of the motion (K, 10) and of ``ThrustImpulse`` (R, 5)."""
+    """Write the errors (3, K) of u, v and r, by the rows of the motion (K, 8) and of ``ThrustImpulse`` (R, 5)."""
     p = coefficients(adapted(file, x[MODEL:DELAY]))
     over_dry = -0.5 * (file[0] + file[1]) / p.dry_mass  # a force of the earth acts like water that accelerates
     port_share, starboard_share = np.exp(min(x[LOSS], 0.0)), np.exp(min(-x[LOSS], 0.0))

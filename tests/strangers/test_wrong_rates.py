@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cmath
 import math
 
 import msgspec
@@ -11,7 +12,6 @@ from benchmarks.strangers.flight import Conditions, Ours, Start, fly, load
 from benchmarks.strangers.tasks import TASKS, figures
 from ltv_mpc.messages import Applied, Estimate
 from ltv_mpc.references import Point
-from tests.ltv_mpc.safety.test_installation_slips import ESTIMATES
 
 CURRENT_MPS = 0.25
 
@@ -31,11 +31,24 @@ class Slipped(Ours):
         return plan
 
 
+def of_velocity(given):
+    """Return the slip of a velocity: ``given`` makes it from the right one, north + j east, and the heading."""
+
+    def slip(e: Estimate) -> dict[str, float]:
+        velocity = given(complex(e.velocity_north_mps, e.velocity_east_mps), e.heading_rad)
+        return {"velocity_north_mps": velocity.real, "velocity_east_mps": velocity.imag}
+
+    return slip
+
+
 SLIPS = {
-    "no velocity": lambda _: {"velocity_north_mps": 0.0, "velocity_east_mps": 0.0},
-    "through the water": lambda e: {"velocity_north_mps": e.velocity_north_mps - CURRENT_MPS},
+    "no velocity": of_velocity(lambda v, _: 0.0 * v),
+    "velocity in knots": of_velocity(lambda v, _: v * 3600.0 / 1852.0),
+    "velocity along the axes": of_velocity(lambda v, heading: v * cmath.exp(-1j * heading)),
+    "velocity through the water": of_velocity(lambda v, _: v - CURRENT_MPS),
     "no yaw rate": lambda _: {"yaw_rate_radps": 0.0},
-    **{slip: ESTIMATES[slip] for slip in ESTIMATES if slip.startswith(("the vel", "the yaw"))},
+    "yaw rate of the other sign": lambda e: {"yaw_rate_radps": -e.yaw_rate_radps},
+    "yaw rate in degrees": lambda e: {"yaw_rate_radps": math.degrees(e.yaw_rate_radps)},
 }
 
 
