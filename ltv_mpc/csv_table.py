@@ -2,7 +2,8 @@
 
 The header names the columns, in any order; columns without a use are ignored. Lines that begin with # are comments. A
 comment before the header that holds all needed names is the header: two published profiles have it there. Cells are
-separated by commas, or by semicolons or tabs if the header is; then 0,5 is 0.5.
+separated by commas, or by semicolons or tabs if the header is; then 0,5 is 0.5, and a table in which 1.000 may be a
+thousand is an error.
 """
 
 from __future__ import annotations
@@ -38,6 +39,8 @@ BOUNDS = {
 MAX_LINE = 100_000
 """Largest length of a line (characters). The module csv takes no longer cells."""
 _WORD = re.compile(r"[\w.]+")
+_THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2}([.,]\d{3})+")
+"""Number whose marks may separate thousands."""
 
 
 def read_table(
@@ -84,17 +87,21 @@ def read_table(
     for name in used:
         if names.count(name) > 1:
             raise ConfigError(source, f"line {line}", f"column {name} occurs more than once")
-    rows = {}
+    table: dict[int, list[str]] = {}
     for k, text in enumerate(lines[line:], start=line + 1):
         if not text.strip() or text.lstrip().startswith("#"):
             continue
-        cells = _cells(text, separator)
-        if any(cells[len(names) :]):
+        table[k] = _cells(text, separator)
+        if any(table[k][len(names) :]):
             problem = (
-                f"has {len(cells)} cells, the header names {len(names)} columns: name each of them (write.table of R "
-                "needs row.names = FALSE); decimal commas need cells and names separated by semicolons or tabs"
+                f"has {len(table[k])} cells, the header names {len(names)} columns: name each of them (write.table of "
+                "R needs row.names = FALSE); decimal commas need cells and names separated by semicolons or tabs"
             )
             raise ConfigError(source, f"line {k}", problem)
+    if separator != ",":
+        _check_marks(table, [names.index(name) for name in used], source)
+    rows = {}
+    for k, cells in table.items():
         rows[k] = {
             name: _number(cells, names.index(name), f"line {k} {name}", separator, source, name in may_be_nan)
             for name in used
@@ -144,6 +151,16 @@ def _header(lines: Sequence[str], alternatives: Sequence[Sequence[str]], source:
 
 def _cells(line: str, separator: str) -> list[str]:
     return [cell.strip() for cell in next(csv.reader([line], delimiter=separator), [])]
+
+
+def _check_marks(table: Mapping[int, Sequence[str]], used: Sequence[int], source: str) -> None:
+    """Reject points, or commas, that may separate thousands in every cell that has them."""
+    for mark in ".,":
+        marked = [(k, row[at]) for k, row in table.items() for at in used if mark in "".join(row[at : at + 1])]
+        if marked and all(_THOUSANDS.fullmatch(cell) for _, cell in marked):
+            (line, cell), decimal = marked[0], marked[0][1].replace(mark, ".")
+            problem = f'"{mark}" may separate decimals or thousands: leave it out, or write one number as {decimal}0'
+            raise ConfigError(source, f"line {line}", problem, value=cell)
 
 
 def _number(cells: Sequence[str], position: int, field: str, separator: str, source: str, may_be_nan: bool) -> float:
