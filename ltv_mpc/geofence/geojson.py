@@ -15,6 +15,7 @@ ignored: programs that draw maps add them. A LineString or a Point without a ``z
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
 from typing import Any, NamedTuple, TypeAlias
@@ -224,10 +225,11 @@ def zones_around(groups: list[list[Any]], where: str, source: str) -> dict[str, 
     """
     if len(groups) == len(groups[0]) == 1 and not groups[0][0].interiors:
         return {"keep_in": [places_of(groups[0][0].exterior)[:-1]]}
-    areas = []
+    areas, longitude_deg = [], shapely.get_coordinates(groups[0])[0, 0]
     for group in groups:
         if not (np.abs(shapely.total_bounds(group)) <= MAX_DEG).all():
             raise ConfigError(source, where, f"must be longitude and latitude in degrees, at most {MAX_DEG:g}")
+        group = [_on_one_side(polygon, longitude_deg) for polygon in group]
         if not all(polygon.is_valid for polygon in group):
             raise ConfigError(source, where, "; ".join(map(shapely.is_valid_reason, group)))
         common = shapely.intersection_all(group)
@@ -244,9 +246,19 @@ def zones_around(groups: list[list[Any]], where: str, source: str) -> dict[str, 
         west, south, east, north = gap.bounds
         middle = gap.interiors[0].centroid.x
         for half in (shapely.box(west, south, middle, north), shapely.box(middle, south, east, north)):
-            gaps += _polygons(gap & half)
+            gaps += _polygons(shapely.intersection(gap, half, grid_size=GRID_DEG))
     zones = {"keep_in": [outline], "keep_out": beside}
     return {zone: [places_of(polygon.exterior)[:-1] for polygon in polygons] for zone, polygons in zones.items()}
+
+
+def _on_one_side(polygon: Any, longitude_deg: float) -> Any:
+    """Return a polygon (degrees) whose longitudes differ from another one by half a turn at most."""
+
+    def moved(at: Any) -> Any:
+        """Return positions (K, 2) whose longitudes are whole turns away."""
+        return at - [360.0, 0.0] * np.round((at - longitude_deg) / 360.0)
+
+    return shapely.transform(polygon, moved)
 
 
 def _polygons(geometry: Any) -> list[Any]:
@@ -257,11 +269,15 @@ def _polygons(geometry: Any) -> list[Any]:
 def places_of(shape: Any) -> Ring:
     """Return the positions of a shapely geometry (longitude and latitude, degrees) as places.
 
+    A longitude of 181 degrees, which maps write behind the antimeridian, is -179.
+
     Parameters
     ----------
     shape : a ring repeats its first position.
     """
-    return [{"longitude_deg": on, "latitude_deg": at} for on, at in shapely.get_coordinates(shape).tolist()]
+    places = shapely.get_coordinates(shape).tolist()
+    turned = [(math.remainder(on, 360.0) if abs(on) <= MAX_DEG else on, at) for on, at in places]
+    return [{"longitude_deg": on, "latitude_deg": at} for on, at in turned]
 
 
 def text(table: Mapping[str, Any], origin: Origin | None, source: str) -> str:
