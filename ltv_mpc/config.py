@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import re
 import stat
 import tomllib
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from importlib import resources
 from pathlib import Path, PurePath
@@ -192,14 +194,22 @@ def parse_json(text: str | bytes, source: str) -> dict[str, Any]:
     Raises
     ------
     ConfigError
-        If it is no JSON object, or has an integer of more than 64 bits.
+        If it is no JSON object, has a key twice in one object, or an integer of more than 64 bits.
     """
     try:
         found = msgspec.json.decode(text, type=dict[str, Any])
         msgspec.msgpack.encode(found)  # raises for an integer of more than 64 bits
+        json.loads(text, object_pairs_hook=_check_keys)
         return found
     except (ValueError, OverflowError, RecursionError) as error:
         raise ConfigError(source, "", f"is not a JSON object: {error}") from None
+
+
+def _check_keys(pairs: list[tuple[str, Any]]) -> None:
+    """Raise ``ValueError`` if a key of an object of JSON occurs twice: parsers keep one of its values."""
+    if len(dict(pairs)) < len(pairs):
+        ((key, count),) = Counter(key for key, _ in pairs).most_common(1)
+        raise ValueError(f"key {format_value(key)} occurs {count} times in one object")
 
 
 def missing_file_hint(path: Path) -> str:
