@@ -184,7 +184,7 @@ class Waypoints(Shape, frozen=True, kw_only=True, tag="waypoints"):
         wait = np.add.reduceat([place.wait_s for place in places], first)
         leaves = np.array(speed)[np.append(first[1:], len(places))]  # speed behind each of them
         fixed = (wait > 0.0) | still | np.append(still[1:], False) | (np.diff(leaves, prepend=speed[0]) != 0.0)
-        aside = outliers(points, max(self.corner_m, ACCURACY_M), np.arange(len(points)), DENSE_M)
+        aside = outliers(points, max(self.corner_m, ACCURACY_M), np.arange(float(len(points))), DENSE_M)
         fixed[np.concatenate([aside - 1, aside, aside + 1])] = True
         fit = fit_legs_between(points, self.corner_m, fixed)
         at = np.rint(fit.at[fixed]).astype(np.int64)
