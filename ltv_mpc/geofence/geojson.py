@@ -10,11 +10,13 @@ Repeated positions of a ring count as one. The polygons of a MultiPolygon are ke
 keep-in zone are an area in which the vehicle stays: two keep-in zones would leave their common part alone. What such an
 area leaves out, its holes and the space between its parts, are keep-out zones. The collection's own members
 ``margin_m`` and ``origin`` are those of the fence. Other properties, such as colours, and properties that are null are
-ignored: programs that draw maps add them. A LineString or a Point without a ``zone`` is a reference.
+ignored: programs that draw maps add them. A LineString or a Point without a ``zone`` is a reference; so is a
+MultiLineString of one line, cut at the antimeridian for example.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 from collections.abc import Mapping
@@ -119,6 +121,9 @@ def features_of(text: str | bytes, source: str, notes: list[str]) -> tuple[dict[
         try:
             geometry = feature["geometry"] if feature["type"] == "Feature" else feature
             properties = dict(feature.get("properties") or {})
+            if geometry is None and "zone" not in properties:
+                notes.append(f"{source}: {where}: has no geometry and is not used")
+                continue
             coordinates = _without_measures(geometry["coordinates"])
             parts = msgspec.json.encode({"type": geometry["type"], "coordinates": coordinates})
         except (AttributeError, TypeError, KeyError, ValueError, RecursionError):
@@ -132,8 +137,21 @@ def features_of(text: str | bytes, source: str, notes: list[str]) -> tuple[dict[
         except shapely.GEOSException as error:
             reason = str(error).partition(": ")[2].strip()  # behind the name of an exception of GEOS
             raise ConfigError(source, f"{where}.geometry", f"is no geometry of GeoJSON: {reason}") from None
-        features.append(Feature(where, properties, shape))
+        features.append(Feature(where, properties, _joined(shape)))
     return content, features
+
+
+def _joined(shape: Any) -> Any:
+    """Return a MultiLineString whose parts begin where the one before ends, as ogr2ogr writes tracks, as LineString."""
+    parts = [shapely.get_coordinates(part, include_z=shape.has_z) for part in shapely.get_parts(shape)]
+    gaps = (after[0] - before[-1] for before, after in itertools.pairwise(parts))
+    if (
+        shape.geom_type != "MultiLineString"
+        or not parts
+        or any(math.remainder(gap[0], 360.0) or gap[1] for gap in gaps)
+    ):
+        return shape
+    return shapely.LineString(np.concatenate([parts[0], *(part[1:] for part in parts[1:])]))
 
 
 def _without_measures(coordinates: Any) -> Any:

@@ -249,20 +249,21 @@ def _gpx(text: str, source: str, notes: list[str]) -> Content:
     except ImportError:
         raise ConfigError(source, "", 'is GPX: install the extra "gpx", gpxpy') from None
     try:
-        gpx = gpxpy.parse(text)
+        gpx = gpxpy.parse(text.partition("?>")[2] if text.startswith("<?xml") else text)  # it is no more as declared
     except (gpxpy.gpx.GPXException, ValueError) as error:
         raise ConfigError(source, "", f"is not valid GPX: {error}") from None
-    paths: list[list[Any]] = [list(route.points) for route in gpx.routes]
-    paths += [[point for segment in track.segments for point in segment.points] for track in gpx.tracks]
-    beside = len(gpx.waypoints) if paths else 0
+    found: list[list[Any]] = [list(route.points) for route in gpx.routes]
+    found += [[point for segment in track.segments for point in segment.points] for track in gpx.tracks]
+    paths = list(filter(None, found))
+    empty, beside = len(found) - len(paths), len(gpx.waypoints) if paths else 0
     paths = paths or [[point] for point in gpx.waypoints]
     if len(paths) != 1:
-        found = (
-            f"{len(gpx.routes)} routes, {len(gpx.tracks)} tracks, {len(gpx.waypoints)} waypoints, which have no order"
-        )
-        raise ConfigError(source, "", f"must have one route or track, it has {found}")
+        has = f"{len(gpx.routes)} routes, {len(gpx.tracks)} tracks, {len(gpx.waypoints)} waypoints, which have no order"
+        raise ConfigError(source, "", f"must have one route or track, it has {has}")
     heights, times = (sum(getattr(point, of) is not None for point in paths[0]) for of in ("elevation", "time"))
-    note_unused(source, notes, waypoints_beside_it=beside, elevations=heights, times=times)
+    note_unused(
+        source, notes, empty_routes_and_tracks=empty, waypoints_beside_it=beside, elevations=heights, times=times
+    )
     return None, _path((point.latitude, point.longitude) for point in paths[0])
 
 

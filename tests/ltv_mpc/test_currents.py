@@ -40,6 +40,12 @@ def test_a_profile_is_read_whatever_the_order_of_columns_and_the_comments(tmp_pa
     np.testing.assert_array_equal(profile.east_mps, [-0.2, 0.4])
 
 
+@pytest.mark.parametrize("encoding", ["utf-16", "cp1252"])
+def test_tables_of_excel_are_read(tmp_path, encoding):
+    (tmp_path / "c.csv").write_text("sep=;\ndepth_m;v_north_mps;u_east_mps;t (°C)\n0,5;0,1;0;7\n", encoding)
+    np.testing.assert_array_equal(read_profile(tmp_path / "c.csv").depth_m, [0.5])
+
+
 @pytest.mark.parametrize("separator", [";", "\t"])
 def test_semicolons_and_tabs_separate_decimal_commas(tmp_path, separator):
     text = "depth_m;v_north_mps;u_east_mps\n0,5;0,11;-0,02\n1.5;0,12;3e-2\n".replace(";", separator)

@@ -60,11 +60,14 @@ def test_a_route_and_a_track_written_by_gpxpy_are_the_same_path(tmp_path: Path) 
         segment = gpxpy.gpx.GPXTrackSegment([gpxpy.gpx.GPXTrackPoint(at, on) for at, on in part])
         track.tracks[0].segments.append(segment)
     route.waypoints.append(gpxpy.gpx.GPXWaypoint(*PLACES[0]))
+    route.tracks.append(gpxpy.gpx.GPXTrack("Zürich"))
     notes: list[str] = []
-    for gpx in (route, track):
-        (tmp_path / "m.gpx").write_text(gpx.to_xml())
+    for gpx, encoding in ((route, "utf-8"), (track, "iso-8859-1"), (track, "utf-16")):
+        (tmp_path / "m.gpx").write_text(gpx.to_xml().replace("UTF-8", encoding), encoding)
         assert_same(references.load(str(tmp_path / "m.gpx"), notes), expected())
-    assert [note.rpartition(": ")[2] for note in notes] == ["not used are 1 waypoints beside it, 4 elevations"]
+    assert [note.rpartition(": ")[2] for note in notes] == [
+        "not used are 1 empty routes and tracks, 1 waypoints beside it, 4 elevations"
+    ]
     both = gpxpy.gpx.GPX()
     both.routes, both.tracks = route.routes, track.tracks
     (tmp_path / "m.gpx").write_text(both.to_xml())
@@ -89,6 +92,11 @@ def test_a_line_and_a_point_of_geojson_stand_beside_the_zones_of_a_fence(tmp_pat
     notes: list[str] = []
     assert references.load(str(path), notes) == Point(latitude_deg=50.2, longitude_deg=-5.1, origin=ORIGIN)
     assert notes == [f"reference {path}: its 3 positions are one place, a point at which the vehicle stays"]
+    lines = feature("MultiLineString", [[[on, at] for at, on in part] for part in (PLACES[:2], PLACES[1:])])
+    without = {"type": "Feature", "properties": None, "geometry": None}
+    path.write_text(json.dumps({"type": "FeatureCollection", "features": [without, lines]}), "utf-16")
+    assert_same(references.load(str(path), notes), expected())
+    assert notes[1:] == [f"reference {path}: features[0]: has no geometry and is not used"]
     shapely = pytest.importorskip("shapely")
     path.write_text(shapely.to_geojson(shapely.LineString([(on, at) for at, on in PLACES])))
     assert_same(references.load(str(path)), expected())
