@@ -43,8 +43,8 @@ class _PlanItem(Struct, frozen=True, rename="camel"):
     """Item of the mission of a QGroundControl plan."""
 
     type: str
+    do_jump_id: int
     complex_item_type: str = ""
-    do_jump_id: int | None = None
     command: int = 0
     frame: int = 0
     params: tuple[float | None, ...] = ()
@@ -226,15 +226,15 @@ def _plan(text: str, source: str, notes: list[str]) -> Content:
     home = plan.home() or Origin(latitude_deg=0.0, longitude_deg=0.0)  # a place of 0, 0 is none
     items = [Item(0, WAYPOINT, 0, (0.0,) * 4, home.latitude_deg, home.longitude_deg, 0.0)]
     for k, table in enumerate(plan.mission.items, start=1):
-        entry = config.parse(table, _PlanItem, source=f"{source}: item {table.get('doJumpId', k)}")
-        number = k if entry.do_jump_id is None else entry.do_jump_id
+        number = table.get("doJumpId", k)
+        entry = config.parse({"doJumpId": k} | table, _PlanItem, source=f"{source}: item {number}")
         if entry.type != "SimpleItem":
             name = entry.complex_item_type or entry.type
             raise ConfigError(source, f"item {number}", f"{name} cannot be followed: give its waypoints")
         parameters = tuple(number or 0.0 for number in entry.params)
         if len(parameters) != 7:
             raise ConfigError(source, f"item {number}", f"has {len(parameters)} of 7 parameters")
-        items.append(Item(number, entry.command, entry.frame, parameters[:4], *parameters[4:]))
+        items.append(Item(entry.do_jump_id, entry.command, entry.frame, parameters[:4], *parameters[4:]))
     check_numbers(items, source)
     zones = plan.count("geo_fence", "polygons") + plan.count("geo_fence", "circles")
     points = plan.count("rally_points", "points")
