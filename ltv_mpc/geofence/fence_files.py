@@ -50,27 +50,22 @@ def read(path: Path, source: str, notes: list[str], origin: Origin | None) -> di
     positions = _positions(text)
     if kind not in (".plan", ".waypoints") and not text.startswith(QGC_WPL) and not positions:
         return None
-    try:
-        if kind == ".plan":
-            plan = read_plan(text, source)
-            origin = plan.home() or origin
-            items = _items_of(config.parse(plan.geo_fence or {}, _PlanFence, source=f"{source}: geoFence"))
-            mission, rally = len(plan.mission.items), plan.count("rally_points", "points")
-            note_unused(source, notes, items_of_its_mission=mission, rally_points=rally)
+    if kind == ".plan":
+        plan = read_plan(text, source)
+        origin = plan.home() or origin
+        items = _items_of(config.parse(plan.geo_fence or {}, _PlanFence, source=f"{source}: geoFence"))
+        mission, rally = len(plan.mission.items), plan.count("rally_points", "points")
+        note_unused(source, notes, items_of_its_mission=mission, rally_points=rally)
+    else:
+        home, *items = _ring_items(positions, source) if positions else read_waypoints(text, source)
+        if home.command in (0, WAYPOINT):  # 0: Mission Planner's
+            origin = Origin(latitude_deg=home.latitude_deg, longitude_deg=home.longitude_deg)
         else:
-            home, *items = _ring_items(positions, source) if positions else read_waypoints(text, source)
-            if home.command in (0, WAYPOINT):  # 0: Mission Planner's
-                origin = Origin(latitude_deg=home.latitude_deg, longitude_deg=home.longitude_deg)
-            else:
-                items.insert(0, home)
-        if origin is None:
-            raise ConfigError(source, "", "has no home: give it one, or the reference an [origin]")
-        notes.append(f"{source}: has no margins, each zone has {MARGIN_M:g} m")
-        return {"margin_m": MARGIN_M, "origin": msgspec.to_builtins(origin), **zones_of(items, source)}
-    except ConfigError:
-        raise
-    except (TypeError, KeyError, ValueError, IndexError, OverflowError) as error:
-        raise ConfigError(source, "", f"is no fence: {error}") from None
+            items.insert(0, home)
+    if origin is None:
+        raise ConfigError(source, "", "has no home: give it one, or the reference an [origin]")
+    notes.append(f"{source}: has no margins, each zone has {MARGIN_M:g} m")
+    return {"margin_m": MARGIN_M, "origin": msgspec.to_builtins(origin), **zones_of(items, source)}
 
 
 def _positions(text: str) -> list[tuple[float, float]]:

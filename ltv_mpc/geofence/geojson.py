@@ -48,7 +48,7 @@ GRID_DEG = 1e-8
 """Distance (degrees; 1 mm) below which corners of an area count as one: slivers are no zones."""
 
 MAX_DEG = 360.0
-"""Largest longitude and latitude of an area: of larger ones the union of its parts is not that."""
+"""Largest longitude and latitude: maps write up to a turn more, and larger numbers are no degrees."""
 
 AROUND = (1.05, 1.1)
 """Sizes of two boxes around the parts of an area, over that of the area: the keep-in zone, and what is kept out."""
@@ -137,13 +137,18 @@ def features_of(text: str | bytes, source: str, notes: list[str]) -> tuple[dict[
         except shapely.GEOSException as error:
             reason = str(error).partition(": ")[2].strip()  # behind the name of an exception of GEOS
             raise ConfigError(source, f"{where}.geometry", f"is no geometry of GeoJSON: {reason}") from None
+        if (np.abs(shapely.total_bounds(shape)) > MAX_DEG).any():
+            problem = f"must be longitude and latitude in degrees, at most {MAX_DEG:g}"
+            raise ConfigError(source, f"{where}.geometry", problem)
         features.append(Feature(where, properties, _joined(shape)))
     return content, features
 
 
 def _joined(shape: Any) -> Any:
     """Return a MultiLineString whose parts begin where the one before ends, as ogr2ogr writes tracks, as LineString."""
-    parts = [shapely.get_coordinates(part, include_z=shape.has_z) for part in shapely.get_parts(shape)]
+    parts = [
+        shapely.get_coordinates(part, include_z=shape.has_z) for part in shapely.get_parts(shape) if not part.is_empty
+    ]
     gaps = (after[0] - before[-1] for before, after in itertools.pairwise(parts))
     if (
         shape.geom_type != "MultiLineString"
@@ -245,8 +250,6 @@ def zones_around(groups: list[list[Any]], where: str, source: str) -> dict[str, 
         return {"keep_in": [places_of(groups[0][0].exterior)[:-1]]}
     areas, longitude_deg = [], shapely.get_coordinates(groups[0])[0, 0]
     for group in groups:
-        if not (np.abs(shapely.total_bounds(group)) <= MAX_DEG).all():
-            raise ConfigError(source, where, f"must be longitude and latitude in degrees, at most {MAX_DEG:g}")
         group = [_on_one_side(polygon, longitude_deg) for polygon in group]
         if not all(polygon.is_valid for polygon in group):
             raise ConfigError(source, where, "; ".join(map(shapely.is_valid_reason, group)))
@@ -294,8 +297,7 @@ def places_of(shape: Any) -> Ring:
     shape : a ring repeats its first position.
     """
     places = shapely.get_coordinates(shape).tolist()
-    turned = [(math.remainder(on, 360.0) if abs(on) <= MAX_DEG else on, at) for on, at in places]
-    return [{"longitude_deg": on, "latitude_deg": at} for on, at in turned]
+    return [{"longitude_deg": math.remainder(on, 360.0), "latitude_deg": at} for on, at in places]
 
 
 def text(table: Mapping[str, Any], origin: Origin | None, source: str) -> str:

@@ -92,7 +92,7 @@ def test_a_line_and_a_point_of_geojson_stand_beside_the_zones_of_a_fence(tmp_pat
     notes: list[str] = []
     assert references.load(str(path), notes) == Point(latitude_deg=50.2, longitude_deg=-5.1, origin=ORIGIN)
     assert notes == [f"reference {path}: its 3 positions are one place, a point at which the vehicle stays"]
-    lines = feature("MultiLineString", [[[on, at] for at, on in part] for part in (PLACES[:2], PLACES[1:])])
+    lines = feature("MultiLineString", [[[on, at] for at, on in part] for part in (PLACES[:2], [], PLACES[1:])])
     without = {"type": "Feature", "properties": None, "geometry": None}
     path.write_text(json.dumps({"type": "FeatureCollection", "features": [without, lines]}), "utf-16")
     assert_same(references.load(str(path), notes), expected())
@@ -212,6 +212,7 @@ ELSEWHERE = "50.2 -5 0"
         ("m.plan", plan({"type": "ComplexItem", "complexItemType": "survey"}), "item 1: survey cannot be followed"),
         ("m.geojson", '{"type": "LineString", "coordinates": [[-5, 50], [-5, 52]]}', "latitude_deg = 52"),
         ("m.geojson", '{"type": "FeatureCollection", "features": []}', "they hold 0"),
+        ("m.geojson", '{"type": "Point", "coordinates": [556000, 5.6e6]}', "must be longitude and latitude in degrees"),
         ("m.geojson", '{"type": "MultiPoint", "coordinates": []}', "features[0]: must be a LineString, a Point"),
         ("m.KML", "<kml/>", "is KML: convert it, as with ogr2ogr m.geojson m.KML"),
     ],
