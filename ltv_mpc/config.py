@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import codecs
+import json
 import math
 import os
 import re
 import stat
 import tomllib
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from importlib import resources
 from pathlib import Path, PurePath
@@ -100,13 +103,18 @@ def loads(text: str) -> dict[str, Any]:
     return tomllib.loads(text)
 
 
-def read_text(path: Path, *, what: str) -> str:
-    """Read the text of a settings file.
+_XML = re.compile(rb"""<\?xml[^>]{,80}\sencoding=["'](iso-8859-\d\d?|windows-125\d)["']""", re.IGNORECASE)
+"""Declaration of another encoding than Unicode."""
+
+
+def read_text(path: Path, *, what: str, errors: str = "strict") -> str:
+    """Read the text of a settings file: UTF-8, UTF-16 with its mark, or what XML declares.
 
     Parameters
     ----------
     path : file.
     what : kind of file for errors.
+    errors : as ``bytes.decode`` takes it.
 
     Raises
     ------
@@ -118,9 +126,12 @@ def read_text(path: Path, *, what: str) -> str:
         raise ConfigError(source, "", f"is {foreign}: convert it, as with ogr2ogr {path.stem}.geojson {path.name}")
     content = read_bytes(path, what=what)
     try:
-        text = content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        problem = f"is not UTF-8 text (byte {error.start}): check that it is the right file"
+        is_utf_16 = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+        declared = _XML.match(content)
+        text = content.decode("utf-16" if is_utf_16 else declared[1].decode() if declared else "utf-8-sig", errors)
+    except (UnicodeDecodeError, LookupError) as error:
+        where = f" (byte {error.start})" if isinstance(error, UnicodeDecodeError) else ""
+        problem = f"is not UTF-8 text{where}: save it as UTF-8, or check that it is the right file"
         raise ConfigError(source, "", problem) from None
     if not text.strip():
         raise ConfigError(source, "", "is empty")
@@ -192,14 +203,22 @@ def parse_json(text: str | bytes, source: str) -> dict[str, Any]:
     Raises
     ------
     ConfigError
-        If it is no JSON object, or has an integer of more than 64 bits.
+        If it is no JSON object, has a key twice in one object, or an integer of more than 64 bits.
     """
     try:
         found = msgspec.json.decode(text, type=dict[str, Any])
         msgspec.msgpack.encode(found)  # raises for an integer of more than 64 bits
+        json.loads(text, object_pairs_hook=_check_keys)
         return found
     except (ValueError, OverflowError, RecursionError) as error:
         raise ConfigError(source, "", f"is not a JSON object: {error}") from None
+
+
+def _check_keys(pairs: list[tuple[str, Any]]) -> None:
+    """Raise ``ValueError`` if a key of an object of JSON occurs twice: parsers keep one of its values."""
+    if len(dict(pairs)) < len(pairs):
+        ((key, count),) = Counter(key for key, _ in pairs).most_common(1)
+        raise ValueError(f"key {format_value(key)} occurs {count} times in one object")
 
 
 def missing_file_hint(path: Path) -> str:

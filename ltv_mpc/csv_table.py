@@ -2,7 +2,8 @@
 
 The header names the columns, in any order; columns without a use are ignored. Lines that begin with # are comments. A
 comment before the header that holds all needed names is the header: two published profiles have it there. Cells are
-separated by commas, or by semicolons or tabs if the header is; then 0,5 is 0.5.
+separated by commas, or by semicolons or tabs if the header is; then 0,5 is 0.5, and a table in which 1.000 may be a
+thousand is an error.
 """
 
 from __future__ import annotations
@@ -38,6 +39,8 @@ BOUNDS = {
 MAX_LINE = 100_000
 """Largest length of a line (characters). The module csv takes no longer cells."""
 _WORD = re.compile(r"[\w.]+")
+_THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2}([.,]\d{3})+")
+"""Number whose marks may separate thousands."""
 
 
 def read_table(
@@ -68,7 +71,7 @@ def read_table(
     ConfigError
         If the file cannot be read or a row is not valid; with line, column, value and bound.
     """
-    lines = config.read_text(path, what=what).splitlines()
+    lines = config.read_text(path, what=what, errors="backslashreplace").splitlines()  # such as degree signs of Excel
     for k, text in enumerate(lines, start=1):
         if len(text) > MAX_LINE:
             raise ConfigError(source, f"line {k}", f"has {len(text)} characters: at most {MAX_LINE}")
@@ -84,15 +87,18 @@ def read_table(
     for name in used:
         if names.count(name) > 1:
             raise ConfigError(source, f"line {line}", f"column {name} occurs more than once")
-    rows = {}
-    for k, text in enumerate(lines[line:], start=line + 1):
-        if not text.strip() or text.lstrip().startswith("#"):
-            continue
+    rows: dict[int, Row] = {}
+    table = {
+        k: text for k, text in enumerate(lines[line:], start=line + 1) if text.strip(" \t") and not _is_aside(text)
+    }
+    if separator != ",":
+        _check_marks(table, separator, [names.index(name) for name in used], source)
+    for k, text in table.items():
         cells = _cells(text, separator)
         if any(cells[len(names) :]):
             problem = (
-                f"has {len(cells)} cells, the header names {len(names)} columns: name each of them (write.table of R "
-                "needs row.names = FALSE); decimal commas need cells and names separated by semicolons or tabs"
+                f"has {len(cells)} cells, the header names {len(names)} columns: name each of them (write.table of "
+                "R needs row.names = FALSE); decimal commas need cells and names separated by semicolons or tabs"
             )
             raise ConfigError(source, f"line {k}", problem)
         rows[k] = {
@@ -135,15 +141,31 @@ def _header(lines: Sequence[str], alternatives: Sequence[Sequence[str]], source:
         complete = any(all(name in names for name in needed) for needed in alternatives)
         if comment:
             in_comment = in_comment or ((names, k, separator) if complete else None)
-        elif line.strip():
+        elif line.strip() and not _is_aside(line):
             return in_comment if in_comment and not complete else (names, k, separator)
     if in_comment is None:
         raise ConfigError(source, "", f"missing header; it must name {', '.join(alternatives[0])}")
     return in_comment
 
 
+def _is_aside(line: str) -> bool:
+    """Return True for a comment, and for the line that names the separator to Excel."""
+    return line.lstrip().startswith("#") or re.fullmatch("sep=.", line) is not None
+
+
 def _cells(line: str, separator: str) -> list[str]:
     return [cell.strip() for cell in next(csv.reader([line], delimiter=separator), [])]
+
+
+def _check_marks(table: Mapping[int, str], separator: str, used: Sequence[int], source: str) -> None:
+    """Reject points, or commas, that may separate thousands in every cell that has them."""
+    for mark in ".,":
+        rows = ((k, _cells(text, separator)) for k, text in table.items() if mark in text)
+        marked = [(k, row[at]) for k, row in rows for at in used if mark in "".join(row[at : at + 1])]
+        if marked and all(_THOUSANDS.fullmatch(cell) for _, cell in marked):
+            (line, cell), decimal = marked[0], marked[0][1].replace(mark, ".")
+            problem = f'"{mark}" may separate decimals or thousands: leave it out, or write one number as {decimal}0'
+            raise ConfigError(source, f"line {line}", problem, value=cell)
 
 
 def _number(cells: Sequence[str], position: int, field: str, separator: str, source: str, may_be_nan: bool) -> float:

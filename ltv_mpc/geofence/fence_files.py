@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
@@ -20,8 +20,9 @@ import shapely
 from ltv_mpc import config
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.geofence.geojson import Ring, zones_around
+from ltv_mpc.messages import Pair
 from ltv_mpc.references.geodesy import DEGREES, Origin, degrees
-from ltv_mpc.references.mission_files import QGC_WPL, note_unused, read_waypoints
+from ltv_mpc.references.mission_files import QGC_WPL, note_unused, read_plan, read_waypoints
 from ltv_mpc.references.mission_items import WAYPOINT, Item, command_name
 
 MARGIN_M, MAX_RADIUS_M = 1.0, 100_000.0
@@ -49,28 +50,22 @@ def read(path: Path, source: str, notes: list[str], origin: Origin | None) -> di
     positions = _positions(text)
     if kind not in (".plan", ".waypoints") and not text.startswith(QGC_WPL) and not positions:
         return None
-    try:
-        if kind == ".plan":
-            plan = config.parse_json(text, source)
-            latitude, longitude = map(float, plan["mission"]["plannedHomePosition"][:2])
-            origin = Origin(latitude_deg=latitude, longitude_deg=longitude)
-            items = _items_of(plan["geoFence"])
-            mission, rally = plan["mission"].get("items") or (), (plan.get("rallyPoints") or {}).get("points") or ()
-            note_unused(source, notes, items_of_its_mission=len(mission), rally_points=len(rally))
+    if kind == ".plan":
+        plan = read_plan(text, source)
+        origin = plan.home() or origin
+        items = _items_of(config.parse(plan.geo_fence or {}, _PlanFence, source=f"{source}: geoFence"))
+        mission, rally = len(plan.mission.items), plan.count("rally_points", "points")
+        note_unused(source, notes, items_of_its_mission=mission, rally_points=rally)
+    else:
+        home, *items = _ring_items(positions, source) if positions else read_waypoints(text, source)
+        if home.command in (0, WAYPOINT):  # 0: Mission Planner's
+            origin = Origin(latitude_deg=home.latitude_deg, longitude_deg=home.longitude_deg)
         else:
-            home, *items = _ring_items(positions, source) if positions else read_waypoints(text, source)
-            if home.command in (0, WAYPOINT):  # 0: Mission Planner's
-                origin = Origin(latitude_deg=home.latitude_deg, longitude_deg=home.longitude_deg)
-            else:
-                items.insert(0, home)
-            if origin is None:
-                raise ConfigError(source, "", "has no home: item 0, or the [origin] of a reference")
-        notes.append(f"{source}: has no margins, each zone has {MARGIN_M:g} m")
-        return {"margin_m": MARGIN_M, "origin": msgspec.to_builtins(origin), **zones_of(items, source)}
-    except ConfigError:
-        raise
-    except (TypeError, KeyError, ValueError, IndexError, OverflowError) as error:
-        raise ConfigError(source, "", f"is no fence: {error}") from None
+            items.insert(0, home)
+    if origin is None:
+        raise ConfigError(source, "", "has no home: give it one, or the reference an [origin]")
+    notes.append(f"{source}: has no margins, each zone has {MARGIN_M:g} m")
+    return {"margin_m": MARGIN_M, "origin": msgspec.to_builtins(origin), **zones_of(items, source)}
 
 
 def _positions(text: str) -> list[tuple[float, float]]:
@@ -90,20 +85,51 @@ def _ring_items(positions: list[tuple[float, float]], source: str) -> list[Item]
     return [_item(k, KEEP_IN, len(ring), place) for k, place in enumerate(ring, start=1)]
 
 
-def _items_of(fence: Any) -> list[Item]:
+class _Polygon(msgspec.Struct, frozen=True):
+    """Polygon of the fence of a plan: latitude and longitude (degrees)."""
+
+    polygon: tuple[Pair, ...]
+    inclusion: bool
+    version: Literal[1] = 1
+
+
+class _CircleShape(msgspec.Struct, frozen=True):
+    """Centre: latitude and longitude (degrees), and radius (m)."""
+
+    center: Pair
+    radius: float
+
+
+class _Circle(msgspec.Struct, frozen=True):
+    """Circle of the fence of a plan."""
+
+    circle: _CircleShape
+    inclusion: bool
+    version: Literal[1] = 1
+
+
+class _PlanFence(msgspec.Struct, frozen=True):
+    """Fence of a plan."""
+
+    polygons: tuple[_Polygon, ...] = ()
+    circles: tuple[_Circle, ...] = ()
+    version: Literal[2] = 2
+
+
+def _items_of(fence: _PlanFence) -> list[Item]:
     """Return the fence of a plan as fence items, as QGroundControl sends it."""
     items = []
-    for k, polygon in enumerate(fence["polygons"]):
-        ring, command = polygon["polygon"], KEEP_IN if polygon["inclusion"] else KEEP_OUT
+    for k, polygon in enumerate(fence.polygons):
+        ring, command = polygon.polygon, KEEP_IN if polygon.inclusion else KEEP_OUT
         items += [_item(k, command, len(ring), place) for place in ring]
-    for k, of in enumerate(fence["circles"], start=len(fence["polygons"])):
-        circle, command = of["circle"], CIRCLE_IN if of["inclusion"] else CIRCLE_OUT
-        items.append(_item(k, command, float(circle["radius"]), circle["center"]))
+    for k, of in enumerate(fence.circles, start=len(fence.polygons)):
+        command = CIRCLE_IN if of.inclusion else CIRCLE_OUT
+        items.append(_item(k, command, of.circle.radius, of.circle.center))
     return items
 
 
 def _item(number: int, command: int, first: float, place: Sequence[float]) -> Item:
-    return Item(number, command, 0, (first, 0.0, 0.0, 0.0), float(place[0]), float(place[1]), 0.0)
+    return Item(number, command, 0, (first, 0.0, 0.0, 0.0), place[0], place[1], 0.0)
 
 
 def zones_of(items: Iterable[Item], source: str) -> dict[str, Any]:

@@ -10,11 +10,14 @@ Repeated positions of a ring count as one. The polygons of a MultiPolygon are ke
 keep-in zone are an area in which the vehicle stays: two keep-in zones would leave their common part alone. What such an
 area leaves out, its holes and the space between its parts, are keep-out zones. The collection's own members
 ``margin_m`` and ``origin`` are those of the fence. Other properties, such as colours, and properties that are null are
-ignored: programs that draw maps add them. A LineString or a Point without a ``zone`` is a reference.
+ignored: programs that draw maps add them. A LineString or a Point without a ``zone`` is a reference; so is a
+MultiLineString of one line, cut at the antimeridian for example.
 """
 
 from __future__ import annotations
 
+import itertools
+import math
 import re
 from collections.abc import Mapping
 from typing import Any, NamedTuple, TypeAlias
@@ -45,7 +48,7 @@ GRID_DEG = 1e-8
 """Distance (degrees; 1 mm) below which corners of an area count as one: slivers are no zones."""
 
 MAX_DEG = 360.0
-"""Largest longitude and latitude of an area: of larger ones the union of its parts is not that."""
+"""Largest longitude and latitude: maps write up to a turn more, and larger numbers are no degrees."""
 
 AROUND = (1.05, 1.1)
 """Sizes of two boxes around the parts of an area, over that of the area: the keep-in zone, and what is kept out."""
@@ -118,6 +121,9 @@ def features_of(text: str | bytes, source: str, notes: list[str]) -> tuple[dict[
         try:
             geometry = feature["geometry"] if feature["type"] == "Feature" else feature
             properties = dict(feature.get("properties") or {})
+            if geometry is None and "zone" not in properties:
+                notes.append(f"{source}: {where}: has no geometry and is not used")
+                continue
             coordinates = _without_measures(geometry["coordinates"])
             parts = msgspec.json.encode({"type": geometry["type"], "coordinates": coordinates})
         except (AttributeError, TypeError, KeyError, ValueError, RecursionError):
@@ -131,8 +137,26 @@ def features_of(text: str | bytes, source: str, notes: list[str]) -> tuple[dict[
         except shapely.GEOSException as error:
             reason = str(error).partition(": ")[2].strip()  # behind the name of an exception of GEOS
             raise ConfigError(source, f"{where}.geometry", f"is no geometry of GeoJSON: {reason}") from None
-        features.append(Feature(where, properties, shape))
+        if (np.abs(shapely.total_bounds(shape)) > MAX_DEG).any():
+            problem = f"must be longitude and latitude in degrees, at most {MAX_DEG:g}"
+            raise ConfigError(source, f"{where}.geometry", problem)
+        features.append(Feature(where, properties, _joined(shape)))
     return content, features
+
+
+def _joined(shape: Any) -> Any:
+    """Return a MultiLineString whose parts begin where the one before ends, as ogr2ogr writes tracks, as LineString."""
+    parts = [
+        shapely.get_coordinates(part, include_z=shape.has_z) for part in shapely.get_parts(shape) if not part.is_empty
+    ]
+    gaps = (after[0] - before[-1] for before, after in itertools.pairwise(parts))
+    if (
+        shape.geom_type != "MultiLineString"
+        or not parts
+        or any(math.remainder(gap[0], 360.0) or gap[1] for gap in gaps)
+    ):
+        return shape
+    return shapely.LineString(np.concatenate([parts[0], *(part[1:] for part in parts[1:])]))
 
 
 def _without_measures(coordinates: Any) -> Any:
@@ -224,10 +248,9 @@ def zones_around(groups: list[list[Any]], where: str, source: str) -> dict[str, 
     """
     if len(groups) == len(groups[0]) == 1 and not groups[0][0].interiors:
         return {"keep_in": [places_of(groups[0][0].exterior)[:-1]]}
-    areas = []
+    areas, longitude_deg = [], shapely.get_coordinates(groups[0])[0, 0]
     for group in groups:
-        if not (np.abs(shapely.total_bounds(group)) <= MAX_DEG).all():
-            raise ConfigError(source, where, f"must be longitude and latitude in degrees, at most {MAX_DEG:g}")
+        group = [_on_one_side(polygon, longitude_deg) for polygon in group]
         if not all(polygon.is_valid for polygon in group):
             raise ConfigError(source, where, "; ".join(map(shapely.is_valid_reason, group)))
         common = shapely.intersection_all(group)
@@ -244,9 +267,19 @@ def zones_around(groups: list[list[Any]], where: str, source: str) -> dict[str, 
         west, south, east, north = gap.bounds
         middle = gap.interiors[0].centroid.x
         for half in (shapely.box(west, south, middle, north), shapely.box(middle, south, east, north)):
-            gaps += _polygons(gap & half)
+            gaps += _polygons(shapely.intersection(gap, half, grid_size=GRID_DEG))
     zones = {"keep_in": [outline], "keep_out": beside}
     return {zone: [places_of(polygon.exterior)[:-1] for polygon in polygons] for zone, polygons in zones.items()}
+
+
+def _on_one_side(polygon: Any, longitude_deg: float) -> Any:
+    """Return a polygon (degrees) whose longitudes differ from another one by half a turn at most."""
+
+    def moved(at: Any) -> Any:
+        """Return positions (K, 2) whose longitudes are whole turns away."""
+        return at - [360.0, 0.0] * np.round((at - longitude_deg) / 360.0)
+
+    return shapely.transform(polygon, moved)
 
 
 def _polygons(geometry: Any) -> list[Any]:
@@ -257,11 +290,14 @@ def _polygons(geometry: Any) -> list[Any]:
 def places_of(shape: Any) -> Ring:
     """Return the positions of a shapely geometry (longitude and latitude, degrees) as places.
 
+    A longitude of 181 degrees, which maps write behind the antimeridian, is -179.
+
     Parameters
     ----------
     shape : a ring repeats its first position.
     """
-    return [{"longitude_deg": on, "latitude_deg": at} for on, at in shapely.get_coordinates(shape).tolist()]
+    places = shapely.get_coordinates(shape).tolist()
+    return [{"longitude_deg": math.remainder(on, 360.0), "latitude_deg": at} for on, at in places]
 
 
 def text(table: Mapping[str, Any], origin: Origin | None, source: str) -> str:

@@ -106,7 +106,7 @@ def read_places(
     ConfigError
         If the file cannot be read or a row is not valid; with line, column, value and bound.
     """
-    places, kinds = {}, ((*columns, *METRES), (*columns, *DEGREES))
+    kinds = ((*columns, *METRES), (*columns, *DEGREES))
     table = read_table(path, *kinds, what=what, source=source, optional=(DEPTH,), least=least)
     if not rows[0] <= len(table) <= rows[1]:
         problem = f"needs a header and at least {rows[0]} rows of numbers"
@@ -114,10 +114,10 @@ def read_places(
     for line, row in table.items():
         place = Place(**{name: row.pop(name) for name in (*METRES, *DEGREES) if name in row})
         try:
-            places[line] = row | dict(zip(METRES, local(place, origin), strict=True))
+            row.update(zip(METRES, local(place, origin), strict=True))
         except ValueError as error:
             raise ConfigError(source, f"line {line}", str(error)) from None
-    return places
+    return table
 
 
 def tangent_plane(latitude_deg: float, longitude_deg: float, origin: Origin) -> Pair:

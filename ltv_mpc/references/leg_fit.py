@@ -49,6 +49,10 @@ SHORT_LEG, MAX_SHORT_M, SHORT_OFF = 6.0, 0.3, 3.0
 """
 ALONE = 4.0
 """Length of the legs beside a short one over its own, from which a corner is doubled."""
+OUTLIER, MOST_IN_A_ROW, BESIDE = 4.0, 3, 4
+"""A point is an outlier if the steps to and from it have this many lengths of the usual step, the median of those up to
+``BESIDE`` points away, and lead back: so many points in a row at most.
+"""
 EVEN, LEAST_COSINE, SAME_STEP, BULGE_M = 0.3, 0.501, 2.0, 0.015
 """Samples of a curve: the distance of a point from the cubic through its four neighbours is smaller than this share of
 the step aside there, its turn below 60 degrees, the ratio of the steps beside it smaller, and the curve leaves the
@@ -109,6 +113,28 @@ def fit_legs_between(points: Array, corner_m: float, fixed: npt.NDArray[np.bool_
         legs += len(run.ends) - 1
         deviation_m, curve_m = max(deviation_m, run.deviation_m), max(curve_m, run.curve_m)
     return LegFit(np.concatenate(ends), np.concatenate(at), deviation_m, curve_m)
+
+
+def outliers(points: Array, least_m: float, t_s: Array, least_mps: float) -> Numbers:
+    """Return the numbers of points that are far beside those around them, as logs of positions have them.
+
+    Parameters
+    ----------
+    points : (K, 3) north, east, depth (m).
+    least_m, least_mps : smallest length and speed of the steps to and from an outlier.
+    t_s : (K,) times (s), increasing.
+    """
+    steps, duration = _steps(points), np.diff(t_s)
+    speed = steps / duration
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(speed, BESIDE, mode="edge"), 2 * BESIDE + 1)
+    usual = np.median(around, axis=1)
+    jumps = np.flatnonzero((steps > least_m) & (speed > np.maximum(OUTLIER * usual, least_mps))).tolist()
+    found: list[int] = []
+    for a, b in itertools.chain(*(zip(jumps, jumps[k:], strict=False) for k in range(1, MOST_IN_A_ROW + 1))):
+        back_m = np.hypot(*(points[b + 1] - points[a])[:2])
+        if b - a <= MOST_IN_A_ROW and back_m <= OUTLIER * usual[a] * (t_s[b + 1] - t_s[a]):
+            found += range(a + 1, b + 1)
+    return np.unique(np.array(found, dtype=np.int64))
 
 
 def _curved(p: Array, corner_m: float) -> tuple[Array, Numbers, float]:

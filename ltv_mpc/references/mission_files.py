@@ -7,9 +7,12 @@ largest one, which ``notes`` reduce to that of the vehicle. The origin is the ho
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
+
+from msgspec import Meta, Struct
 
 from ltv_mpc import config
 from ltv_mpc.errors import ConfigError
@@ -36,6 +39,52 @@ QGC_WPL = "QGC WPL "
 """Begin of a list of items, which programs write with several suffixes."""
 
 
+class _PlanItem(Struct, frozen=True, rename="camel"):
+    """Item of the mission of a QGroundControl plan."""
+
+    type: str
+    do_jump_id: int
+    complex_item_type: str = ""
+    command: int = 0
+    frame: int = 0
+    params: tuple[float | None, ...] = ()
+
+
+class _Mission(Struct, frozen=True, rename="camel"):
+    """Mission of a QGroundControl plan."""
+
+    items: list[dict[str, Any]]
+    planned_home_position: Annotated[tuple[float | None, ...], Meta(min_length=2)] | None = None
+    cruise_speed: float = MAX_SPEED_MPS
+    version: Literal[2] = 2
+
+
+class Plan(Struct, frozen=True, rename="camel"):
+    """QGroundControl plan."""
+
+    mission: _Mission
+    geo_fence: dict[str, Any] | None = None
+    rally_points: dict[str, Any] | None = None
+    file_type: Literal["Plan"] = "Plan"
+    version: Literal[1] = 1
+
+    def home(self) -> Origin | None:
+        """Return the planned home position, if the plan has one."""
+        latitude, longitude = (self.mission.planned_home_position or (None, None))[:2]
+        return None if latitude is None or longitude is None else _origin(latitude, longitude)
+
+    def count(self, of: str, name: str) -> int:
+        """Return the number of entries of a list that is not read.
+
+        Parameters
+        ----------
+        of : member of the plan.
+        name : member of that.
+        """
+        found = (getattr(self, of) or {}).get(name)
+        return len(found) if isinstance(found, list) else 0
+
+
 def read(path: Path, source: str, notes: list[str]) -> dict[str, Any] | None:
     """Return the table of a reference, as a TOML file holds it; None for a file that is none of another program.
 
@@ -58,9 +107,12 @@ def read(path: Path, source: str, notes: list[str]) -> dict[str, Any] | None:
     if not stops:
         raise ConfigError(source, "", "has no path and no point")
     try:
-        return reference_table(stops, home or _origin(stops[0].place.latitude_deg, stops[0].place.longitude_deg))
+        table = reference_table(stops, home or _origin(stops[0].place.latitude_deg, stops[0].place.longitude_deg))
     except ValueError as error:
         raise ConfigError(source, "", str(error)) from None
+    if table["kind"] == "point" and len(stops) > 1:
+        notes.append(f"{source}: its {len(stops)} positions are one place, a point at which the vehicle stays")
+    return table
 
 
 Content = tuple[Origin | None, list[Stop]]
@@ -136,37 +188,57 @@ def read_waypoints(text: str, source: str) -> list[Item]:
             raise ConfigError(source, f"line {k}", "must have 12 numbers, the first 4 whole", value=line[:60]) from None
     if not items:
         raise ConfigError(source, "", "has no items")
+    check_numbers(items, source)
     return items
+
+
+def check_numbers(items: Sequence[Item], source: str) -> None:
+    """Raise ``ConfigError`` if two items have one number: errors and jumps name items by it.
+
+    Parameters
+    ----------
+    items : of a mission or a fence.
+    source : name of the file in errors.
+    """
+    ((number, count),) = Counter(item.number for item in items).most_common(1)
+    if count > 1:
+        raise ConfigError(source, f"item {number}", f"has its number {count} times: give each item one of its own")
 
 
 def _waypoints(text: str, source: str, notes: list[str]) -> Content:
     return _mission(read_waypoints(text, source), MAX_SPEED_MPS, source, notes)
 
 
+def read_plan(text: str, source: str) -> Plan:
+    """Return a QGroundControl plan. Raises ``ConfigError``.
+
+    Parameters
+    ----------
+    text : content of the file.
+    source : name of the file in errors.
+    """
+    return config.parse(config.parse_json(text, source), Plan, source=source)
+
+
 def _plan(text: str, source: str, notes: list[str]) -> Content:
     """Read a QGroundControl plan."""
-    plan = config.parse_json(text, source)
-    mission = plan.get("mission") or {}
-    try:
-        latitude, longitude = map(float, (mission["plannedHomePosition"] or (0.0, 0.0))[:2])
-        items = [Item(0, WAYPOINT, 0, (0.0,) * 4, latitude, longitude, 0.0)]
-        for k, entry in enumerate(mission["items"], start=1):
-            number = int(entry.get("doJumpId", k))
-            if entry["type"] != "SimpleItem":
-                name = entry.get("complexItemType", entry["type"])
-                raise ConfigError(source, f"item {number}", f"{name} cannot be followed: give its waypoints")
-            parameters = tuple(float(number or 0.0) for number in entry["params"])
-            if len(parameters) != 7:
-                raise ValueError(f"item {number} has {len(parameters)} of 7 parameters")
-            items.append(Item(number, int(entry["command"]), int(entry["frame"]), parameters[:4], *parameters[4:]))
-        cruise_mps = float(mission.get("cruiseSpeed", MAX_SPEED_MPS))
-        fence, rally = plan.get("geoFence") or {}, plan.get("rallyPoints") or {}
-        zones = len(fence.get("polygons") or ()) + len(fence.get("circles") or ())
-        points = len(rally.get("points") or ())
-    except ConfigError:
-        raise
-    except (AttributeError, TypeError, KeyError, ValueError, OverflowError) as error:
-        raise ConfigError(source, "mission", f"is not that of a plan: {error}") from None
+    plan = read_plan(text, source)
+    home = plan.home() or Origin(latitude_deg=0.0, longitude_deg=0.0)  # a place of 0, 0 is none
+    items = [Item(0, WAYPOINT, 0, (0.0,) * 4, home.latitude_deg, home.longitude_deg, 0.0)]
+    for k, table in enumerate(plan.mission.items, start=1):
+        number = table.get("doJumpId", k)
+        entry = config.parse({"doJumpId": k} | table, _PlanItem, source=f"{source}: item {number}")
+        if entry.type != "SimpleItem":
+            name = entry.complex_item_type or entry.type
+            raise ConfigError(source, f"item {number}", f"{name} cannot be followed: give its waypoints")
+        parameters = tuple(number or 0.0 for number in entry.params)
+        if len(parameters) != 7:
+            raise ConfigError(source, f"item {number}", f"has {len(parameters)} of 7 parameters")
+        items.append(Item(entry.do_jump_id, entry.command, entry.frame, parameters[:4], *parameters[4:]))
+    check_numbers(items, source)
+    zones = plan.count("geo_fence", "polygons") + plan.count("geo_fence", "circles")
+    points = plan.count("rally_points", "points")
+    cruise_mps = plan.mission.cruise_speed
     return _mission(items, cruise_mps, source, notes, zones_of_its_geofence=zones, rally_points=points)
 
 
@@ -177,20 +249,21 @@ def _gpx(text: str, source: str, notes: list[str]) -> Content:
     except ImportError:
         raise ConfigError(source, "", 'is GPX: install the extra "gpx", gpxpy') from None
     try:
-        gpx = gpxpy.parse(text)
+        gpx = gpxpy.parse(text.partition("?>")[2] if text.startswith("<?xml") else text)  # it is no more as declared
     except (gpxpy.gpx.GPXException, ValueError) as error:
         raise ConfigError(source, "", f"is not valid GPX: {error}") from None
-    paths: list[list[Any]] = [list(route.points) for route in gpx.routes]
-    paths += [[point for segment in track.segments for point in segment.points] for track in gpx.tracks]
-    beside = len(gpx.waypoints) if paths else 0
+    found: list[list[Any]] = [list(route.points) for route in gpx.routes]
+    found += [[point for segment in track.segments for point in segment.points] for track in gpx.tracks]
+    paths = list(filter(None, found))
+    empty, beside = len(found) - len(paths), len(gpx.waypoints) if paths else 0
     paths = paths or [[point] for point in gpx.waypoints]
     if len(paths) != 1:
-        found = (
-            f"{len(gpx.routes)} routes, {len(gpx.tracks)} tracks, {len(gpx.waypoints)} waypoints, which have no order"
-        )
-        raise ConfigError(source, "", f"must have one route or track, it has {found}")
+        has = f"{len(gpx.routes)} routes, {len(gpx.tracks)} tracks, {len(gpx.waypoints)} waypoints, which have no order"
+        raise ConfigError(source, "", f"must have one route or track, it has {has}")
     heights, times = (sum(getattr(point, of) is not None for point in paths[0]) for of in ("elevation", "time"))
-    note_unused(source, notes, waypoints_beside_it=beside, elevations=heights, times=times)
+    note_unused(
+        source, notes, empty_routes_and_tracks=empty, waypoints_beside_it=beside, elevations=heights, times=times
+    )
     return None, _path((point.latitude, point.longitude) for point in paths[0])
 
 

@@ -14,7 +14,7 @@ from ltv_mpc.messages import Array, ReferenceStart
 from ltv_mpc.references.base import BaseReference
 from ltv_mpc.references.feasibility import descent_notes, path_notes
 from ltv_mpc.references.geodesy import Place, local
-from ltv_mpc.references.leg_fit import ACCURACY_M, LegFit, fit_legs_between
+from ltv_mpc.references.leg_fit import ACCURACY_M, DENSE_M, LegFit, fit_legs_between, outliers
 from ltv_mpc.references.limits import path_limits
 from ltv_mpc.references.path import MAX_POINTS, Path, chord_count, first_leg, round_corners, smooth_curve, with_lead_in
 from ltv_mpc.references.schedule import Schedule, fastest_schedule
@@ -141,8 +141,13 @@ class Waypoints(Shape, frozen=True, kw_only=True, tag="waypoints"):
         ----------
         vehicle : parameters of the vehicle.
         """
-        _, fit, doubled = self._fit()
+        _, fit, doubled, aside = self._fit()
         notes = []
+        if len(aside):
+            notes.append(
+                f"{len(aside)} waypoints are far beside those around them, the first is "
+                f"waypoints[{aside[0] % len(self.waypoints)}]: the path leads there and back; remove outliers of a log"
+            )
         if doubled:
             notes.append(
                 f"waypoints at the position of the one before them count as one with it: {len(doubled)}, the first is "
@@ -160,10 +165,10 @@ class Waypoints(Shape, frozen=True, kw_only=True, tag="waypoints"):
             )
         return notes + super().notes(vehicle)
 
-    def _fit(self) -> tuple[Path, LegFit, list[int]]:
-        """Return path and legs near the waypoints, and the numbers of those at the place of the one before them.
+    def _fit(self) -> tuple[Path, LegFit, list[int], list[int]]:
+        """Return path and legs near the waypoints, and numbers: of those at the place of the one before, of outliers.
 
-        A waypoint at which the vehicle waits, sinks or changes its speed is the end of a leg.
+        A waypoint at which the vehicle waits, sinks or changes its speed is the end of a leg, as is an outlier.
         """
         places, points = self._places()
         speed = [self.speed_mps]
@@ -179,13 +184,16 @@ class Waypoints(Shape, frozen=True, kw_only=True, tag="waypoints"):
         wait = np.add.reduceat([place.wait_s for place in places], first)
         leaves = np.array(speed)[np.append(first[1:], len(places))]  # speed behind each of them
         fixed = (wait > 0.0) | still | np.append(still[1:], False) | (np.diff(leaves, prepend=speed[0]) != 0.0)
+        aside = outliers(points, max(self.corner_m, ACCURACY_M), np.arange(float(len(points))), DENSE_M)
+        fixed[np.concatenate([aside - 1, aside, aside + 1])] = True
         fit = fit_legs_between(points, self.corner_m, fixed)
         at = np.rint(fit.at[fixed]).astype(np.int64)
         rest = np.zeros(len(fit.ends))
         rest[at] = wait[fixed]
         before = np.searchsorted(at, np.arange(len(rest) - 1), side="right")  # fixed points before each leg
         wanted = np.concatenate([[leaves[0]], leaves[fixed]])[before]
-        return round_corners(fit.ends[:, :2], fit.ends[:, 2], self.corner_m, wanted, rest), fit, doubled.tolist()
+        path = round_corners(fit.ends[:, :2], fit.ends[:, 2], self.corner_m, wanted, rest)
+        return path, fit, doubled.tolist(), first[aside].tolist()
 
     def _places(self) -> tuple[list[Waypoint], Array]:
         """Return the waypoints of all laps, and their north, east and depth (K, 3) in m."""

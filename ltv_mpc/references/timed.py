@@ -4,7 +4,8 @@ Columns t_s, north_m, east_m, and optionally depth_m, in any order; or latitude_
 and east_m, relative to the [origin] of the reference. Lines that start with # are comments. Times increase, and the
 target moves uniformly between two rows. A row that the vehicle cannot reach in time (cruising speed, curvature of the
 track over the length in which the vehicle turns in, descent rate) is reached as soon as possible. Positions that differ
-by the noise of a log are smoothed as those of a path (``leg_fit.py``).
+by the noise of a log are smoothed as those of a path (``leg_fit.py``), and outliers, to which the vehicle could not get
+and back in time, are left out.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Array, ReferenceStart
 from ltv_mpc.references.base import BaseReference
 from ltv_mpc.references.geodesy import DEPTH, METRES, read_places
-from ltv_mpc.references.leg_fit import along, fit_legs
+from ltv_mpc.references.leg_fit import Numbers, along, fit_legs, outliers
 from ltv_mpc.references.limits import path_limits
 from ltv_mpc.references.path import LEAD_IN_M, smooth_curve
 from ltv_mpc.references.schedule import TIME, Schedule, fastest_schedule
@@ -30,7 +31,7 @@ from ltv_mpc.vehicle.parameters import Vehicle
 
 Row: TypeAlias = Annotated[tuple[float, ...], Meta(min_length=3, max_length=4)]
 
-MAX_ROWS = 20_000
+MAX_ROWS, MOST_NAMED = 20_000, 5
 IN_TIME_S = 0.1
 """Delay up to which a row counts as reached in time."""
 CORNER_M = 0.4
@@ -88,28 +89,46 @@ class Timed(BaseReference, frozen=True, kw_only=True, tag="timed"):
         return Schedule(np.concatenate([lead, table[:, 1:]], axis=1), lead_m, keeps_time=True)
 
     def notes(self, vehicle: Vehicle) -> list[str]:
-        """Return a sentence about the rows that the vehicle cannot reach in time.
+        """Return sentences about outliers and the rows that the vehicle cannot reach in time.
 
         Parameters
         ----------
         vehicle : parameters of the vehicle.
         """
-        t = np.array([row[0] for row in self.rows])
+        given, (rows, left_out) = np.array(self.rows), self._rows(vehicle)
+        t, notes = rows[:, 0], []
         late = self._table(vehicle)[TIME] - t
+        if len(left_out):
+            off_m = np.hypot(*(given - rows[:, : given.shape[1]])[left_out, 1:3].T)
+            notes.append(
+                f"{len(left_out)} of {len(t)} rows are left out as outliers, up to {off_m.max():.1f} m beside those "
+                f"around them: t_s = {', '.join(f'{at:g}' for at in t[left_out[:MOST_NAMED]])}"
+                f"{', ...' * (len(left_out) > MOST_NAMED)}"
+            )
         if late.max() <= IN_TIME_S:
-            return []
+            return notes
         first = int(np.argmax(late > IN_TIME_S))
         return [
+            *notes,
             f"{np.count_nonzero(late > IN_TIME_S)} of {len(t)} rows cannot be reached in time (the vehicle does "
             f"{path_limits(vehicle).cruise_mps:.2f} m/s straight on, less in bends): the first at t_s = {t[first]:g}; "
-            f"the latest by {late.max():.1f} s, the last by {late[-1]:.1f} s"
+            f"the latest by {late.max():.1f} s, the last by {late[-1]:.1f} s",
         ]
+
+    def _rows(self, vehicle: Vehicle) -> tuple[Array, Numbers]:
+        """Return the rows (K, 4), in which outliers are between the rows around them, and the numbers of these."""
+        rows = np.array(self.rows)
+        if rows.shape[1] == 3:
+            rows = np.column_stack([rows, np.full(len(rows), np.nan if self.depth_m is None else self.depth_m)])
+        left_out = outliers(rows[:, 1:], CORNER_M, rows[:, 0], path_limits(vehicle).top_mps)
+        kept = np.delete(rows, left_out, axis=0)
+        for column in (1, 2, 3):
+            rows[left_out, column] = np.interp(rows[left_out, 0], kept[:, 0], kept[:, column])
+        return rows, left_out
 
     def _table(self, vehicle: Vehicle) -> Array:
         """Return the table (5, K) of the schedule: each row at its time, or as soon as the vehicle can be there."""
-        rows, limits = np.array(self.rows), path_limits(vehicle)
-        if rows.shape[1] == 3:
-            rows = np.column_stack([rows, np.full(len(rows), np.nan if self.depth_m is None else self.depth_m)])
+        (rows, _), limits = self._rows(vehicle), path_limits(vehicle)
         fit = fit_legs(rows[:, 1:], CORNER_M, curves=False)
         points = along(fit.ends, fit.at)
         corners = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(fit.ends[:, :2], axis=0).T))])

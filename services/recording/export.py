@@ -79,6 +79,8 @@ def export(parts: Sequence[Path], folder: Path, form: Format) -> ExportResult:
         fields = layouts.setdefault(raw.key, defaultdict(_Field))
         for path, value in message.items():
             fields[path].add(value)
+    if not layouts and not unreadable:
+        raise ConfigError(f"recording {parts[0]}", "", "holds no message")
     tables = {key: _Table(key, fields, folder / name) for key, fields, name in _named(layouts, form)}
     try:
         for raw, message in _rows(parts):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -109,21 +108,6 @@ def test_a_key_of_thousands_of_parts_is_refused_unread(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="at most 10 deep"):
         config.read_toml(path, what="settings")
     assert config.loads("a" + ".a" * 9 + " = 1 # 1.5, e.g. so") == tomllib.loads("a" + ".a" * 9 + " = 1")
-
-
-def test_what_is_no_regular_file_is_refused_without_reading_it(tmp_path: Path) -> None:
-    pipe = tmp_path / "pipe.toml"
-    os.mkfifo(pipe)
-    for name, says in (
-        (str(tmp_path) + "/", "is a folder"),
-        (str(pipe), "is not a regular file"),
-        ("/dev/zero", "is not a regular file"),
-        (str(tmp_path / "absent.toml"), "no such file"),
-        ("a\0b.toml", "cannot be read"),
-        ("x" * 5000 + ".toml", "cannot be read"),
-    ):
-        with pytest.raises(ConfigError, match=says):
-            Vehicle.load(name)
 
 
 def test_a_bare_name_is_a_shipped_one_and_an_unknown_one_lists_them(

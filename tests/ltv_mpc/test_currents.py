@@ -40,6 +40,12 @@ def test_a_profile_is_read_whatever_the_order_of_columns_and_the_comments(tmp_pa
     np.testing.assert_array_equal(profile.east_mps, [-0.2, 0.4])
 
 
+@pytest.mark.parametrize("encoding", ["utf-16", "cp1252"])
+def test_tables_of_excel_are_read(tmp_path, encoding):
+    (tmp_path / "c.csv").write_text("sep=;\ndepth_m;v_north_mps;u_east_mps;t (°C)\n0,5;0,1;0;7\n", encoding)
+    np.testing.assert_array_equal(read_profile(tmp_path / "c.csv").depth_m, [0.5])
+
+
 @pytest.mark.parametrize("separator", [";", "\t"])
 def test_semicolons_and_tabs_separate_decimal_commas(tmp_path, separator):
     text = "depth_m;v_north_mps;u_east_mps\n0,5;0,11;-0,02\n1.5;0,12;3e-2\n".replace(";", separator)
@@ -47,6 +53,8 @@ def test_semicolons_and_tabs_separate_decimal_commas(tmp_path, separator):
     np.testing.assert_array_equal(profile.depth_m, [0.5, 1.5])
     np.testing.assert_array_equal(profile.north_mps, [0.11, 0.12])
     np.testing.assert_array_equal(profile.east_mps, [-0.02, 0.03])
+    three = read(tmp_path, "depth_m;v_north_mps;u_east_mps\n1.000;0.110;2.000\n".replace(";", separator))
+    np.testing.assert_array_equal(three.depth_m, [1.0])
 
 
 def test_descending_depths_and_ends_without_a_current_are_read_with_a_note(tmp_path):
@@ -118,6 +126,8 @@ PRIOR = "depth_m,v_north_mps,u_east_mps,sd_mps,sd_common_mps\n"
         (read_profile, HEADER + "0,0,0,10,-0,05\n", ["line 2", "6 cells", "decimal commas", "semicolons"]),
         (read_profile, HEADER + "0;0;0\n", ["line 2 depth_m", "0;0;0", "number"]),
         (read_profile, HEADER + "0,5;0,11;0,02\n", ["line 2", "4 cells", "names separated by semicolons"]),
+        (read_profile, "depth_m;v_north_mps;u_east_mps\n0;0;0\n1.000;0;0,5\n", ["line 3", "1.000", "or thousands"]),
+        (read_profile, "depth_m\tv_north_mps\tu_east_mps\n1,000\t0\t0.5\n", ["line 2", "1,000", "as 1.0000"]),
         (read_profile, HEADER.replace(",", "|"), ["line 1", "separated by commas, semicolons or tabs"]),
         (read_profile, HEADER + "0," + "1" * 100_001, ["line 2", "100003 characters", "at most 100000"]),
     ],

@@ -283,6 +283,30 @@ def test_the_polygons_of_a_keep_in_zone_are_one_area_also_apart_and_around_anoth
         assert allowed(fence).symmetric_difference(right).area == pytest.approx(0.0, abs=1.0)
 
 
+def across(middle_deg: float, *shapes: list[list[list[float]]]) -> Any:
+    """Return where a keep-in zone lets the vehicle be, of polygons beside a meridian; longitudes end at 180 degrees."""
+    coordinates = [[[[math.remainder(e + middle_deg, 360.0), n] for e, n in ring] for ring in of] for of in shapes]
+    zone = feature("keep_in", "MultiPolygon", coordinates)
+    return allowed(Fence.from_geojson(collection(zone, origin={"latitude_deg": 60.0, "longitude_deg": middle_deg})))
+
+
+def test_an_area_across_the_antimeridian_is_that_across_another_meridian() -> None:
+    """RFC 7946 cuts it there, other programs do not."""
+    west, east, apart, whole, hole = (
+        [[w, s], [e, s], [e, n], [w, n], [w, s]]
+        for w, e, s, n in (
+            (-0.002, 0.0, 60.0, 60.001),
+            (0.0, 0.001, 60.0, 60.001),
+            (0.003, 0.004, 60.0, 60.001),
+            (-0.002, 0.002, 60.0, 60.001),
+            (-0.001, 0.0005, 60.0002, 60.0005),
+        )
+    )
+    for shapes in ([[west], [east]], [[west], [east], [apart]], [[whole, hole]], [[whole, hole], [apart]]):
+        off = across(180.0, *shapes).symmetric_difference(across(5.0, *shapes))
+        assert off.area == pytest.approx(0.0, abs=1.0)
+
+
 def test_holes_of_a_keep_in_zone_are_keep_out_zones() -> None:
     around = [[5.31, 60.38], [5.34, 60.38], [5.34, 60.41], [5.31, 60.41], [5.31, 60.38]]
     holes = [square(), square(0.004)]

@@ -127,7 +127,14 @@ def test_what_a_fence_does_not_use_is_a_note(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "text", "says"),
     [
-        ("f.plan", "{}", "is no fence: 'mission'"),
+        ("f.plan", "{}", 'key "mission" is missing: must be'),
+        (
+            "f.plan",
+            '{"mission": {"items": [], "plannedHomePosition": null}}',
+            "has no home: give it one, or the reference",
+        ),
+        ("f.plan", plan([(True, LEFT)], []).replace("1}]", "2}]", 1), "geoFence: polygons[0].version = 2: must be 1"),
+        ("f.plan", plan([(1, LEFT)], []), "geoFence: polygons[0].inclusion = 1: must be true or false"),  # type: ignore[list-item]
         ("f.kml", "<kml/>", "is KML: convert it, as with ogr2ogr f.geojson f.kml"),
         (
             "f.plan",

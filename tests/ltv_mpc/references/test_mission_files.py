@@ -60,11 +60,14 @@ def test_a_route_and_a_track_written_by_gpxpy_are_the_same_path(tmp_path: Path) 
         segment = gpxpy.gpx.GPXTrackSegment([gpxpy.gpx.GPXTrackPoint(at, on) for at, on in part])
         track.tracks[0].segments.append(segment)
     route.waypoints.append(gpxpy.gpx.GPXWaypoint(*PLACES[0]))
+    route.tracks.append(gpxpy.gpx.GPXTrack("Zürich"))
     notes: list[str] = []
-    for gpx in (route, track):
-        (tmp_path / "m.gpx").write_text(gpx.to_xml())
+    for gpx, encoding in ((route, "utf-8"), (track, "iso-8859-1"), (track, "utf-16")):
+        (tmp_path / "m.gpx").write_text(gpx.to_xml().replace("UTF-8", encoding), encoding)
         assert_same(references.load(str(tmp_path / "m.gpx"), notes), expected())
-    assert [note.rpartition(": ")[2] for note in notes] == ["not used are 1 waypoints beside it, 4 elevations"]
+    assert [note.rpartition(": ")[2] for note in notes] == [
+        "not used are 1 empty routes and tracks, 1 waypoints beside it, 4 elevations"
+    ]
     both = gpxpy.gpx.GPX()
     both.routes, both.tracks = route.routes, track.tracks
     (tmp_path / "m.gpx").write_text(both.to_xml())
@@ -85,6 +88,15 @@ def test_a_line_and_a_point_of_geojson_stand_beside_the_zones_of_a_fence(tmp_pat
         assert_same(references.load(str(path)), expected(0.3))
     path.write_text(json.dumps({"type": "Point", "coordinates": [-5.1, 50.2]}))
     assert references.load(str(path)) == Point(latitude_deg=50.2, longitude_deg=-5.1, origin=ORIGIN)
+    path.write_text(json.dumps({"type": "LineString", "coordinates": [[-5.1, 50.2]] * 3}))
+    notes: list[str] = []
+    assert references.load(str(path), notes) == Point(latitude_deg=50.2, longitude_deg=-5.1, origin=ORIGIN)
+    assert notes == [f"reference {path}: its 3 positions are one place, a point at which the vehicle stays"]
+    lines = feature("MultiLineString", [[[on, at] for at, on in part] for part in (PLACES[:2], [], PLACES[1:])])
+    without = {"type": "Feature", "properties": None, "geometry": None}
+    path.write_text(json.dumps({"type": "FeatureCollection", "features": [without, lines]}), "utf-16")
+    assert_same(references.load(str(path), notes), expected())
+    assert notes[1:] == [f"reference {path}: features[0]: has no geometry and is not used"]
     shapely = pytest.importorskip("shapely")
     path.write_text(shapely.to_geojson(shapely.LineString([(on, at) for at, on in PLACES])))
     assert_same(references.load(str(path)), expected())
@@ -103,7 +115,7 @@ def test_a_plan_of_qgroundcontrol_is_the_same_path(tmp_path: Path) -> None:
     items = [simple(k, 16, 0, 0, 0, None, *place, 50) for k, place in enumerate(PLACES, start=1)]
     (tmp_path / "m.plan").write_text(plan(*items))
     assert_same(references.load(str(tmp_path / "m.plan")), expected(1.5))
-    (tmp_path / "m.plan").write_text(plan(simple(1, 178, 1, 0.7, -1, 0, 0, 0, 0, frame=2), *items))
+    (tmp_path / "m.plan").write_text(plan(simple(9, 178, 1, 0.7, -1, 0, 0, 0, 0, frame=2), *items))
     assert_same(references.load(str(tmp_path / "m.plan")), expected(0.7))
 
 
@@ -183,10 +195,24 @@ ELSEWHERE = "50.2 -5 0"
         ("m.waypoints", mission("3 16 0 0 0 0 50.2 inf 0"), "item 1 MAV_CMD_NAV_WAYPOINT (16) latitude_deg = 50.2"),
         ("m.waypoints", mission(), "has no path and no point"),
         ("m.plan", "{", "is not a JSON object"),
-        ("m.plan", "{}", "mission: is not that of a plan: 'plannedHomePosition'"),
+        (
+            "m.waypoints",
+            mission().replace("0 0 0 16", "0 0 0 16", 1) + "\n0 0 3 16 0 0 0 0 50.2 -5 0 1",
+            "item 0: has its number 2 times",
+        ),
+        ("m.plan", "{}", 'key "mission" is missing: must be a table with items, plannedHomePosition'),
+        ("m.plan", '{"version": 99, "mission": {"items": []}}', "version = 99: must be 1"),
+        ("m.plan", '{"fileType": "Mission", "mission": {"items": []}}', 'fileType = "Mission": must be "Plan"'),
+        ("m.plan", '{"mission": {"version": 1, "items": []}}', "[mission] version = 1: must be 2"),
+        ("m.plan", '{"mission": {"items": [], "items": []}}', 'key "items" occurs 2 times in one object'),
+        ("m.plan", plan(simple(1, 16.7, *7 * [0])), "item 1: command = 16.7: must be an integer"),  # type: ignore[arg-type]
+        ("m.plan", plan(simple(1, 16, 0)), "item 1: has 1 of 7 parameters"),
+        ("m.plan", plan(simple(2, 16, *7 * [0]), simple(2, 16, *7 * [0])), "item 2: has its number 2 times"),
+        ("m.plan", plan(simple(1, 16, "5", *6 * [0])), 'item 1: params[0] = "5": must be a number'),  # type: ignore[arg-type]
         ("m.plan", plan({"type": "ComplexItem", "complexItemType": "survey"}), "item 1: survey cannot be followed"),
         ("m.geojson", '{"type": "LineString", "coordinates": [[-5, 50], [-5, 52]]}', "latitude_deg = 52"),
         ("m.geojson", '{"type": "FeatureCollection", "features": []}', "they hold 0"),
+        ("m.geojson", '{"type": "Point", "coordinates": [556000, 5.6e6]}', "must be longitude and latitude in degrees"),
         ("m.geojson", '{"type": "MultiPoint", "coordinates": []}', "features[0]: must be a LineString, a Point"),
         ("m.KML", "<kml/>", "is KML: convert it, as with ogr2ogr m.geojson m.KML"),
     ],

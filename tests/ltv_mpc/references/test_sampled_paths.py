@@ -192,6 +192,32 @@ def test_a_noisy_log_with_a_long_rest_keeps_its_times(rest_s, noise_m):
     assert np.hypot(*(table[[NORTH, EAST]].T - points).T).max() < 0.03 + 4.0 * noise_m
 
 
+@pytest.mark.parametrize(
+    ("rate_hz", "noise_m", "in_a_row"), [(1, 0.0, 1), (10, 0.0, 3), (10, 0.005, 1), (10, NOISE_M, 2)]
+)
+def test_outliers_of_a_log_do_not_delay_a_timed_track_and_are_named(rate_hz, noise_m, in_a_row):
+    t = np.arange(0.0, 100.01, 1.0 / rate_hz)
+    points = np.column_stack([0.4 * t, 0.0 * t])
+    points += np.random.default_rng(0).normal(0.0, noise_m, points.shape)
+    at = np.searchsorted(t, 50.0) + np.arange(in_a_row)
+    for distance_m in (0.0, 3.0):
+        points[at, 1] += distance_m
+        track = Timed(rows=tuple(map(tuple, np.column_stack([t, points]).tolist())))
+        table, notes = track.schedule(PAPER).table, track.notes(PAPER)
+        assert (table[TIME] - t)[:: len(t) - 1] == pytest.approx(0.0, abs=0.2)
+        assert np.abs(table[EAST]).max() < 0.02 + 4.0 * noise_m
+        assert (f"{in_a_row} of {len(t)} rows are left out as outliers, up to 3.0 m" in "".join(notes)) == (
+            distance_m > 0.0
+        )
+    assert f"t_s = {t[at[0]]:g}" in notes[0]
+    path = waypoints(points, 0.4)
+    assert path.notes(PAPER)[0].startswith(
+        f"{in_a_row} waypoints are far beside those around them, the first is waypoints[{at[0]}]"
+    )
+    assert path.schedule(PAPER).duration_s < 100.0 + 50.0
+    assert off_curve_m(path.path().points, points[at]) < 0.5
+
+
 lengths = st.floats(-1.0, 6.0).map(lambda exponent: 10.0**exponent)
 speeds = st.floats(-3.0, 1.3).map(lambda exponent: 10.0**exponent)
 
