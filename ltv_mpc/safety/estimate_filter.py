@@ -47,9 +47,16 @@ class EstimateFilter:
     @property
     def health(self) -> HealthState:
         """Degraded while a rate is derived."""
-        rates = [(self.velocity, "velocities", "positions"), (self.yaw_rate, "yaw rates", "headings")]
-        failed = [f"the {rate} of the estimates are not those of the {of}" for check, rate, of in rates if check.failed]
-        return HealthState(Health.DEGRADED, f"{'; '.join(failed)}: check {CHECKED}") if failed else NOMINAL
+        found = []
+        for check, rates, values in (
+            (self.velocity, "velocities", "positions"),
+            (self.yaw_rate, "yaw rates", "headings"),
+        ):
+            if check.failed:
+                found.append(f"the {rates} of the estimates are not those of the {values}: check {CHECKED}")
+            if check.stands:
+                found.append(f"the {values} of the estimates stand still, their {rates} do not")
+        return HealthState(Health.DEGRADED, "; ".join(found)) if found else NOMINAL
 
     def update(self, estimate: Estimate) -> Estimate:
         """Return an estimate with filtered position and derived rates; itself where nothing needs it.
@@ -64,8 +71,8 @@ class EstimateFilter:
         heading, yaw_rate = np.array([self._heading_rad]), np.array([e.yaw_rate_radps])
         sd = [standard_deviation(e, states, 0.0) for states in ((0, 1), (2, 3), (4,), (5,))]
         x, v = self.velocity.update(e.t_ns, place, over_ground, (sd[0], sd[1]))
-        _, r = self.yaw_rate.update(e.t_ns, heading, yaw_rate, (sd[2], sd[3]))
-        if x is place and v is over_ground and r is yaw_rate:
+        psi, r = self.yaw_rate.update(e.t_ns, heading, yaw_rate, (sd[2], sd[3]))
+        if x is place and v is over_ground and psi is heading and r is yaw_rate:
             return estimate
         (north_m, east_m), (velocity_north_mps, velocity_east_mps) = x.tolist(), v.tolist()
         return msgspec.structs.replace(
@@ -74,6 +81,7 @@ class EstimateFilter:
             east_m=east_m,
             velocity_north_mps=velocity_north_mps,
             velocity_east_mps=velocity_east_mps,
+            heading_rad=math.remainder(float(psi[0]), math.tau),
             yaw_rate_radps=float(r[0]),
         )
 

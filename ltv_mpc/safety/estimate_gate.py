@@ -8,8 +8,10 @@ An estimate is accepted if
     |yaw rate|              <=  3 x the steady rate at full opposite thrusts + 0.5 rad/s
     |sinking speed|         <=  2 x the steady rate at full thrust and net buoyancy + 1 m/s
 
-and if it is reachable from the last accepted one, a time dt before. With s the sum of the standard deviations of both
-estimates, from their covariances (5 m and 0.5 rad for an estimate without covariance):
+and is not an earlier one with another stamp: its velocity or yaw rate would have changed position or heading by more
+than ``REPEATED_WAY``, or for longer than ``STANDS_S``. It must be reachable from the last accepted one, a time dt
+before. With s the sum of the standard deviations of both estimates, from their covariances (5 m and 0.5 rad for an
+estimate without covariance):
 
     |p - (p0 + v0 dt)|      <=  speed bound x dt + 1 m, or 5 s
     |psi - (psi0 + r0 dt)|  <=  yaw rate bound x dt + 0.5 rad, or 5 s
@@ -35,6 +37,7 @@ from ltv_mpc.messages import CurrentProfile, Estimate, Health
 from ltv_mpc.safety.estimate_filter import EstimateFilter, standard_deviation
 from ltv_mpc.safety.health import DEFAULT_AGES, NOMINAL, PREDICTED_TOO_FAR, Ages, HealthState, health
 from ltv_mpc.safety.input_age import InputAge
+from ltv_mpc.safety.kinematic_filter import STANDS_S
 from ltv_mpc.validation import relation_reason
 from ltv_mpc.vehicle.parameters import Vehicle
 from ltv_mpc.vehicle.resistance import steady_speed
@@ -48,6 +51,12 @@ UNKNOWN_SD_M, UNKNOWN_SD_RAD = 5.0, 0.5
 NOT_FINITE = "a number is not finite"
 REJECTED = "the newest was rejected: "
 JUMPED = "jumped farther than the vehicle can move"
+REPEATED = "an earlier one with another stamp"
+REPEATED_WAY, AT_REST = 0.05, 1e-4
+"""Way (m) or angle (rad) that the rates of an estimate give until it cannot be true any more; and rate (m/s, or rad/s)
+from which ``STANDS_S`` is enough.
+"""
+
 TOO_FAST, TURNS_TOO_FAST = (f"{rate} above what the vehicle can reach" for rate in ("velocity over ground", "yaw rate"))
 
 
@@ -95,6 +104,7 @@ class EstimateGate:
         """Age of the accepted estimates, by their stamps."""
         self.growth_m = 0.0
         """Growth of the standard deviation of the predicted position since the estimate, if that is late (m)."""
+        self._new_ns = 0  # time of the first estimate with the motion of the accepted one
         self._vehicle, self._bounds, self._ages = vehicle, Bounds.of(vehicle), ages
         self.filter = EstimateFilter(vehicle)
         """What of the accepted estimates is used."""
@@ -115,7 +125,7 @@ class EstimateGate:
         if estimate is last:
             return reason
         reason = self.out_of_bounds(estimate)
-        if reason:
+        if reason or (reason := self._repeats(estimate)):
             self._jumped = None
         elif self.accepted is not None and self.jumps(self.accepted, estimate):
             before, self._jumped = self._jumped, estimate
@@ -126,8 +136,18 @@ class EstimateGate:
             self._last = estimate, reason
             return reason
         self.age.add(estimate.t_ns)
+        if self.accepted is None or _motion(estimate) != _motion(self.accepted):
+            self._new_ns = estimate.t_ns
         self.accepted, self._jumped, self._last = estimate, None, (None, "")
         return ""
+
+    def _repeats(self, estimate: Estimate) -> str:
+        """Return the reason why an estimate is an old one with another stamp; empty if it is not."""
+        if self.accepted is None or _motion(estimate) != _motion(self.accepted):
+            return ""
+        speed_mps = math.hypot(estimate.velocity_north_mps, estimate.velocity_east_mps)
+        rate, seconds = max(speed_mps, abs(estimate.yaw_rate_radps)), (estimate.t_ns - self._new_ns) * 1e-9
+        return REPEATED if rate * seconds > REPEATED_WAY or (rate > AT_REST and seconds > STANDS_S) else ""
 
     def usable(self, estimate: Estimate) -> Estimate:
         """Return an estimate whose numbers have their types; the last accepted one if that is impossible.
@@ -248,6 +268,11 @@ class EstimateGate:
         if old.depth_m is None or new.depth_m is None:
             return False
         return abs(new.depth_m - old.depth_m) > bounds.sinking_mps * dt + JUMP_DEPTH_M
+
+
+def _motion(e: Estimate) -> tuple[float | None, ...]:
+    rates = e.velocity_north_mps, e.velocity_east_mps, e.yaw_rate_radps
+    return e.north_m, e.east_m, e.depth_m, e.heading_rad, *rates
 
 
 def _problem(profile: CurrentProfile) -> str:

@@ -15,7 +15,8 @@ Without s, the value is noisy by R, if that is above what is clean:
 
 A Kalman filter then gives x: with R, from the given rate and a small random walk of x; with n^2 at most, from a rate
 that it estimates and that walks as far as thrust can change it, from a failure until the given rate has agreed with the
-motion for ``AGREED`` changes. What is neither noisy nor failed is used as it is.
+motion for ``AGREED`` changes. What is neither noisy nor failed is used as it is; a value that is repeated, as a slow
+receiver's is, moves on by its rate.
 Source: Bar-Shalom, Li & Kirubarajan 2001, Estimation with applications to tracking and navigation, section 6.2.2.
 """
 
@@ -38,6 +39,9 @@ SHARE, NOISES, SIGMAS = 0.1, 10.0, 5.0
 """Least error of a rate that fails, over the largest rate; and multiples of the noise, and of the given standard
 deviations. A single step of a position is at most 9.2 n.
 """
+
+STANDS_S = 3.0
+"""Time from which a value that is repeated stands still, if its rate has moved it by a second of its largest."""
 
 AGREED = 300
 """Changes in motion with which a failed rate agrees until it is used again."""
@@ -68,6 +72,8 @@ class KinematicFilter:
         """
         self.failed = False
         """True while the rate is derived."""
+        self.stands = False
+        """True while the value is repeated although its rate has moved it far."""
         self._largest, self._rate_walk, self._clean = largest, AGILITY * acceleration, clean
         self._last: tuple[int, Array] | None = None  # time (ns) and rate of the last estimate
         self._changes: deque[tuple[float, Array, Array]] = deque(maxlen=WINDOW)  # time (s), change of the value, i
@@ -108,6 +114,9 @@ class KinematicFilter:
             self._since, self._way, self._seconds = x, np.zeros_like(x), 0.0
             if len(self._changes) >= LEAST:
                 self._judge(x, sd)
+        elif not changed.any() and self._way.any():  # repeated: moved on by its rate
+            x = x + self._way
+        self.stands = self._seconds > STANDS_S and float(np.hypot.reduce(self._way)) > self._largest
         return x if self._x is None else self._x, self._w if self.failed else w
 
     def _judge(self, x: Array, sd: Pair) -> None:

@@ -103,7 +103,7 @@ def test_a_prediction_that_grows_too_uncertain_is_held_until_the_next_estimate()
         ("hold", PREDICTED_TOO_FAR, "stop"),
     ]
     assert controller.health(estimate.t_ns + 9 * S) == HealthState(Health.HOLD, PREDICTED_TOO_FAR)
-    later = msgspec.structs.replace(estimate, t_ns=estimate.t_ns + 9 * S)
+    later = msgspec.structs.replace(estimate, t_ns=estimate.t_ns + 9 * S, north_m=estimate.north_m + 0.01)
     plan = controller.plan(later)
     assert (plan.health, plan.origin) == ("nominal", SOLVED)
     assert controller.plan(later, t_ns=later.t_ns + S).health == "degraded"

@@ -156,3 +156,26 @@ def test_an_estimate_rejected_for_another_reason_does_not_confirm_a_jump():
     assert gate.check(at(1, north_m=500.0)) == JUMPED
     assert gate.check(at(2, north_m=500.0, yaw_rate_radps=math.nan)) != ""
     assert gate.check(at(3, north_m=500.0)) == JUMPED
+
+
+@pytest.mark.parametrize(
+    ("rates", "rejected_from_s"),
+    [
+        ({"velocity_north_mps": 0.2}, 0.3),
+        ({"yaw_rate_radps": -0.1}, 0.6),
+        ({"velocity_east_mps": 0.001}, 3.1),
+        ({"velocity_east_mps": 1e-9}, None),  # at rest the same estimate may be true for ever
+        ({}, None),
+    ],
+)
+def test_an_estimate_that_repeats_an_earlier_one_with_another_stamp_is_rejected_once_it_cannot_be_true(
+    rates, rejected_from_s
+):
+    gate = settled(**rates)
+    reasons = [gate.check(at(k, **rates)) for k in range(1, 60)]
+    first = next((k for k, reason in enumerate(reasons, 1) if reason), None)
+    assert (first and first * PERIOD_NS * 1e-9) == (rejected_from_s and pytest.approx(rejected_from_s))
+    assert all(reason == "an earlier one with another stamp" for reason in reasons[(first or 60) - 1 :])
+    if first:
+        assert "an earlier one with another stamp" in gate.health(60 * PERIOD_NS).why
+        assert gate.check(at(60, north_m=1.01, **rates)) == ""

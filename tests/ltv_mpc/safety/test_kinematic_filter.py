@@ -117,6 +117,18 @@ def test_noisy_positions_without_a_deviation_are_filtered_and_clean_ones_are_use
         assert all(check.update(int(t), *row, sd)[0] is row[0] for t, *row in zip(t_ns, given, w, strict=True))
 
 
+def test_a_value_that_is_repeated_moves_on_by_its_rate_and_stands_still_after_3_s_of_way():
+    t_ns, x, w = track(100)
+    check = KinematicFilter(TOP_MPS, ACCELERATION_MPS2, CLEAN_M)
+    for k in range(100):
+        used, _ = check.update(int(t_ns[k]), x[min(k, 40)], w[k], (0.0, 0.0))
+        assert used == pytest.approx(x[k], abs=0.02)
+        far = np.hypot(*(x[k] - x[min(k, 40)])) > TOP_MPS
+        assert check.stands == (far and t_ns[k] - t_ns[40] > 3e9)
+    check.update(int(t_ns[-1]) + 300_000_000, x[-1], w[-1], (0.0, 0.0))
+    assert not check.stands
+
+
 def test_noise_of_a_yaw_rate_and_an_angle_that_is_unwrapped_are_no_failure():
     rng = np.random.default_rng(1)
     t = PERIOD_S * np.arange(400)
