@@ -39,7 +39,6 @@ from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.solvers import SolverFactory, make
 from ltv_mpc.control.vertical import VerticalLaw, VerticalPlan
 from ltv_mpc.conversion import exact
-from ltv_mpc.errors import ConfigError
 from ltv_mpc.geofence.fence import Fence, compare_origins
 from ltv_mpc.messages import (
     Applied,
@@ -247,13 +246,9 @@ class Controller:
             is none, or that no thruster delivers, is not used; the health says so.
         t_ns : now, vehicle time (ns): a report of later is one of now. None: not known.
         """
-        try:
-            applied = exact(applied)
-        except ConfigError as error:
-            self.actuator_check.refuse(str(error))
+        if (usable := self.actuator_check.usable(applied)) is None:
             return
-        if not self.actuator_check.can_be(applied):
-            return
+        applied = usable
         if t_ns is not None and applied.t_ns > t_ns:
             applied = msgspec.structs.replace(applied, t_ns=t_ns)
         self._delay.add_receipt(applied)

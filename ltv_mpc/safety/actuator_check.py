@@ -12,6 +12,8 @@ from __future__ import annotations
 
 from collections import deque
 
+from ltv_mpc.conversion import exact
+from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Applied, Array, Health, Plan, Triple
 from ltv_mpc.safety.health import NOMINAL, HealthState, plan_end_ns
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -103,26 +105,22 @@ class ActuatorCheck:
         while len(plans) > 1 and plans[1].t_ns[0] < start_ns - KEPT_NS:
             plans.popleft()
 
-    def refuse(self, reason: str) -> None:
-        """Degrade the health until a report can be used.
-
-        Parameters
-        ----------
-        reason : why this one cannot.
-        """
-        self.health = HealthState(Health.DEGRADED, f"{UNUSABLE}{reason}")
-
-    def can_be(self, applied: Applied) -> bool:
-        """Return True if thrusters can deliver what is reported, within a factor; else the health is degraded.
+    def usable(self, applied: Applied) -> Applied | None:
+        """Return a report whose numbers have their types and are thrusts; else None, and the health says so.
 
         Parameters
         ----------
         applied : report.
         """
-        if all(abs(thrust_N) <= self._most_N for thrust_N in applied.thrust_N + applied.command_N):  # not if NaN
-            return True
-        self.refuse(f"more than {self._most_N:.0f} N")
-        return False
+        try:
+            applied = exact(applied)
+            if all(abs(thrust_N) <= self._most_N for thrust_N in applied.thrust_N + applied.command_N):  # not if NaN
+                return applied
+            reason = f"more than {self._most_N:.0f} N"
+        except ConfigError as error:
+            reason = str(error)
+        self.health = HealthState(Health.DEGRADED, f"{UNUSABLE}{reason}")
+        return None
 
     def add(self, applied: Applied) -> None:
         """Compare a report with the plans; one from before the first known plan is ignored.

@@ -65,7 +65,6 @@ class Settings(NamedTuple):
     first_cell_m: float  # to the middle of the first cell
     coordinates: Coordinates
     tilts_used: bool
-    three_beam_solutions: bool
     bins_mapped: bool
     heading_alignment_rad: float
     heading_bias_rad: float
@@ -209,7 +208,6 @@ def _settings(leader: memoryview) -> Settings:
         first_cell_m=first_cm / 100,
         coordinates=Coordinates(transform >> 3 & 0b11),
         tilts_used=bool(transform & 0b100),
-        three_beam_solutions=bool(transform & 0b010),
         bins_mapped=bool(transform & 0b001),
         heading_alignment_rad=math.radians(alignment / 100),
         heading_bias_rad=math.radians(bias / 100),

@@ -214,7 +214,7 @@ def test_settings_time_and_counts_are_those_of_the_file() -> None:
     s = ensemble.settings
     assert (s.frequency_kHz, s.upward, s.convex, s.cells, s.pings) == (300, True, True, 7, 45)
     assert (s.cell_m, s.first_cell_m, s.coordinates) == (1.5, 3.21, Coordinates.SHIP)
-    assert (s.tilts_used, s.bins_mapped, s.three_beam_solutions) == (True, True, True)
+    assert (s.tilts_used, s.bins_mapped) == (True, True)
     assert ensemble.number == 70_000
     assert ensemble.t_ns == 1_466_659_179_000_000_000 + 61_250_000_000  # 2016-06-23 05:19:39 UTC
     for name, expected in counts.items():
