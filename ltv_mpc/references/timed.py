@@ -19,7 +19,7 @@ import numpy as np
 from msgspec import Meta
 
 from ltv_mpc.csv_table import check_bounds
-from ltv_mpc.errors import ConfigError
+from ltv_mpc.errors import ConfigError, naming
 from ltv_mpc.messages import Array, ReferenceStart
 from ltv_mpc.references.base import BaseReference
 from ltv_mpc.references.geodesy import DEPTH, METRES, read_places
@@ -169,7 +169,5 @@ def from_csv(timed: Timed, path: Path, *, source: str) -> Timed:
         if after[0] <= before[0]:
             problem = f"must be later than the row before it, {before[0]:g} s"
             raise ConfigError(source, f"line {k} t_s", problem, value=after[0])
-    try:
+    with naming(source):
         return msgspec.structs.replace(timed, file="", rows=rows)
-    except ValueError as error:
-        raise ConfigError(source, "", str(error)) from None

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ltv_mpc import config
 from ltv_mpc.control.prediction import current_at_depth, profile_of
-from ltv_mpc.errors import ConfigError
+from ltv_mpc.errors import ConfigError, naming
 from ltv_mpc.messages import Applied, Array, Authority, Estimate, Pair, Plan, Times, Triple
 from ltv_mpc.vehicle.identification import (
     CannotIdentify,
@@ -275,10 +275,8 @@ def _sd(estimates: list[Estimate]) -> Array:
 
 def identified_vehicle(path: Path, vehicle: Vehicle, report: IdentifyReport) -> Vehicle:
     """Return the vehicle with the identified coefficients. Raises ``ConfigError`` if a vehicle file rejects them."""
-    try:
+    with naming(name_of(path), problem="fits no vehicle that a file accepts: "):  # limits scaled beyond their bounds
         return with_coefficients(vehicle, report.found)
-    except ValueError as error:  # such as limits scaled beyond their bounds
-        raise ConfigError(name_of(path), "", f"fits no vehicle that a file accepts: {error}") from None
 
 
 def format_text(report: IdentifyReport) -> str:
