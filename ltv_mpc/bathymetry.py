@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from ltv_mpc.control.config import MotionLimits
-from ltv_mpc.errors import ConfigError
+from ltv_mpc.errors import ConfigError, naming
 from ltv_mpc.messages import Array
 from ltv_mpc.references.base import BaseReference
 from ltv_mpc.references.geodesy import DEPTH, METRES, Origin, read_places
@@ -79,10 +79,8 @@ class Bathymetry:
             source=source,
             least={DEPTH: -MAX_DRYING_M},
         )
-        try:
+        with naming(source):
             return cls(np.array([[row[name] for name in (*METRES, DEPTH)] for row in rows.values()]))
-        except ValueError as error:
-            raise ConfigError(source, "", str(error)) from None
 
     def depths(self, places: Array) -> Array:
         """Return the depth of the bottom (P,) in m; NaN where it is not known.

@@ -103,7 +103,9 @@ def loads(text: str) -> dict[str, Any]:
     return tomllib.loads(text)
 
 
-_XML = re.compile(rb"""<\?xml[^>]{,80}\sencoding=["'](iso-8859-\d\d?|windows-125\d)["']""", re.IGNORECASE)
+_XML = re.compile(
+    rb"""<\?xml[^>]{,80}\sencoding=["'](iso-8859-(?:1[013-6]?|[2-9])|windows-125[0-8])["']""", re.IGNORECASE
+)
 """Declaration of another encoding than Unicode."""
 
 
@@ -129,9 +131,8 @@ def read_text(path: Path, *, what: str, errors: str = "strict") -> str:
         is_utf_16 = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
         declared = _XML.match(content)
         text = content.decode("utf-16" if is_utf_16 else declared[1].decode() if declared else "utf-8-sig", errors)
-    except (UnicodeDecodeError, LookupError) as error:
-        where = f" (byte {error.start})" if isinstance(error, UnicodeDecodeError) else ""
-        problem = f"is not UTF-8 text{where}: save it as UTF-8, or check that it is the right file"
+    except UnicodeDecodeError as error:
+        problem = f"is not UTF-8 text (byte {error.start}): save it as UTF-8, or check that it is the right file"
         raise ConfigError(source, "", problem) from None
     if not text.strip():
         raise ConfigError(source, "", "is empty")

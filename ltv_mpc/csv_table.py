@@ -12,12 +12,12 @@ import contextlib
 import csv
 import math
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TypeAlias
 
 from ltv_mpc import config
-from ltv_mpc.errors import ConfigError
+from ltv_mpc.errors import ConfigError, naming
 
 Row: TypeAlias = dict[str, float]
 
@@ -83,18 +83,14 @@ def read_table(
             names_wanted = f"; the header must name {all_names}, separated by commas, semicolons or tabs"
             known = (meanings or {}).get(name) or names_wanted
             raise ConfigError(source, f"line {line}", f"missing column {name}{known}")
-    used = dict.fromkeys([*needed, *(name for name in optional if name in names)])
+    used = {name: names.index(name) for name in (*needed, *optional) if name in names}
     for name in used:
         if names.count(name) > 1:
             raise ConfigError(source, f"line {line}", f"column {name} occurs more than once")
+    texts = {k: text for k, text in enumerate(lines[line:], start=line + 1) if text.strip(" \t")}
+    table = {k: _cells(text, separator) for k, text in texts.items() if not _is_aside(text)}
     rows: dict[int, Row] = {}
-    table = {
-        k: text for k, text in enumerate(lines[line:], start=line + 1) if text.strip(" \t") and not _is_aside(text)
-    }
-    if separator != ",":
-        _check_marks(table, separator, [names.index(name) for name in used], source)
-    for k, text in table.items():
-        cells = _cells(text, separator)
+    for k, cells in table.items():
         if any(cells[len(names) :]):
             problem = (
                 f"has {len(cells)} cells, the header names {len(names)} columns: name each of them (write.table of "
@@ -102,13 +98,13 @@ def read_table(
             )
             raise ConfigError(source, f"line {k}", problem)
         rows[k] = {
-            name: _number(cells, names.index(name), f"line {k} {name}", separator, source, name in may_be_nan)
-            for name in used
+            name: _number(cells, at, f"line {k} {name}", separator, source, name in may_be_nan)
+            for name, at in used.items()
         }
-        try:
+        with naming(source):
             check_bounds(rows[k], f"line {k} ", least)
-        except ValueError as error:
-            raise ConfigError(source, "", str(error)) from None
+    if separator != ",":
+        _check_marks(table, used.values(), source)
     return rows
 
 
@@ -136,8 +132,7 @@ def _header(lines: Sequence[str], alternatives: Sequence[Sequence[str]], source:
         separator = next((mark for mark in ";\t" if mark in line), ",")
         names = _cells(line, separator)
         if comment:  # text may follow a name, so only the first word of each cell counts
-            words = [_WORD.match(cell.strip(" \t#\"'")) for cell in line.split(separator)]
-            names = [word.group() if word else "" for word in words]
+            names = ["".join(_WORD.findall(cell)[:1]) for cell in line.split(separator)]
         complete = any(all(name in names for name in needed) for needed in alternatives)
         if comment:
             in_comment = in_comment or ((names, k, separator) if complete else None)
@@ -157,11 +152,10 @@ def _cells(line: str, separator: str) -> list[str]:
     return [cell.strip() for cell in next(csv.reader([line], delimiter=separator), [])]
 
 
-def _check_marks(table: Mapping[int, str], separator: str, used: Sequence[int], source: str) -> None:
+def _check_marks(table: Mapping[int, Sequence[str]], used: Iterable[int], source: str) -> None:
     """Reject points, or commas, that may separate thousands in every cell that has them."""
     for mark in ".,":
-        rows = ((k, _cells(text, separator)) for k, text in table.items() if mark in text)
-        marked = [(k, row[at]) for k, row in rows for at in used if mark in "".join(row[at : at + 1])]
+        marked = [(k, cells[at]) for k, cells in table.items() for at in used if mark in cells[at]]
         if marked and all(_THOUSANDS.fullmatch(cell) for _, cell in marked):
             (line, cell), decimal = marked[0], marked[0][1].replace(mark, ".")
             problem = f'"{mark}" may separate decimals or thousands: leave it out, or write one number as {decimal}0'

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from ltv_mpc.csv_table import Row, read_table
+from ltv_mpc.csv_table import read_table
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Array, CurrentProfile
 
@@ -140,19 +140,13 @@ def _read(path: Path, *, of_prior: bool, notes: list[str] | None) -> list[Any]:
         if k and row["depth_m"] <= rows[k - 1][1]["depth_m"]:
             problem = f"must be below the depth before it, {rows[k - 1][1]['depth_m']:g} m"
             raise ConfigError(source, f"line {number} depth_m", problem, value=row["depth_m"])
-        if SD_COMMON in row:
-            _check_common(row, rows[0][1][SD_COMMON], f"line {number} {SD_COMMON}", source)
+        common, of_all = row.get(SD_COMMON, 0.0), rows[0][1].get(SD_COMMON, 0.0)
+        where = f"line {number} {SD_COMMON}"
+        if common != of_all:
+            raise ConfigError(source, where, f"must be the same in every row, as above {of_all:g} m/s", value=common)
+        if common > row.get(SD, common):
+            raise ConfigError(source, where, f"must be <= {SD} = {row[SD]:g}, of which it is a part", value=common)
     if changed and notes is not None:
         notes.append(f"{source}: {'; '.join(changed)}")
     names = (*COLUMNS, SD, SD_COMMON)
     return [np.array([row[name] for _, row in rows]) if name in rows[0][1] else None for name in names]
-
-
-def _check_common(row: Row, of_all: float, field: str, source: str) -> None:
-    """Check the standard deviation that all rows share."""
-    common = row[SD_COMMON]
-    if common != of_all:
-        problem = f"must be the same in every row, as above {of_all:g} m/s"
-        raise ConfigError(source, field, problem, value=common)
-    if common > row[SD]:
-        raise ConfigError(source, field, f"must be <= {SD} = {row[SD]:g}, of which it is a part", value=common)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from unicodedata import category
 
 MAX_VALUE_LENGTH = 60
@@ -41,6 +43,23 @@ class ConfigError(ValueError):
 
 class SolverNotInstalled(ConfigError):
     """Name of a solver that is neither one of this project nor an installed backend of qpsolvers."""
+
+
+@contextmanager
+def naming(source: str, field: str = "", problem: str = "") -> Iterator[None]:
+    """Turn each ``ValueError`` that is raised inside, which knows no file, into a ``ConfigError``.
+
+    Parameters
+    ----------
+    source, field : as in ``ConfigError``.
+    problem : text before that of the error.
+    """
+    try:
+        yield
+    except ConfigError:
+        raise
+    except ValueError as error:
+        raise ConfigError(source, field, f"{problem}{error}") from None
 
 
 def format_value(value: object) -> str:

@@ -8,17 +8,17 @@ A list of positions alone, as ArduPilot's ground stations wrote it, is a return 
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
 import msgspec
-import numpy as np
 import shapely
 
 from ltv_mpc import config
-from ltv_mpc.errors import ConfigError
+from ltv_mpc.errors import ConfigError, naming
 from ltv_mpc.geofence.geojson import Ring, zones_around
 from ltv_mpc.messages import Pair
 from ltv_mpc.references.geodesy import DEGREES, Origin, degrees
@@ -71,10 +71,9 @@ def read(path: Path, source: str, notes: list[str], origin: Origin | None) -> di
 def _positions(text: str) -> list[tuple[float, float]]:
     """Return latitude and longitude (degrees) of each line of a list of positions; none if it is something else."""
     rows = [line.split() for line in text.splitlines() if line.strip() and not line.startswith("#")]
-    try:
-        return [(float(row[0]), float(row[1])) for row in rows] if {len(row) for row in rows} == {2} else []
-    except ValueError:
-        return []
+    with contextlib.suppress(msgspec.ValidationError):
+        return msgspec.convert(rows, list[Pair], strict=False)
+    return []
 
 
 def _ring_items(positions: list[tuple[float, float]], source: str) -> list[Item]:
@@ -170,10 +169,8 @@ def zones_of(items: Iterable[Item], source: str) -> dict[str, Any]:
             if not math.isfinite(group):
                 raise ConfigError(source, f"{where} group", "must be a number, and finite", value=group)
             corners = places if command == KEEP_IN else _corners(places[0], size)
-            try:
+            with naming(source, where, "is no polygon: "):  # fewer than 3
                 polygon = shapely.Polygon([(at["longitude_deg"], at["latitude_deg"]) for at in corners])
-            except (ValueError, shapely.GEOSException) as error:  # fewer than 3
-                raise ConfigError(source, where, f"is no polygon: {error}") from None
             groups.setdefault((int(group), 0 if group else len(groups)), []).append(polygon)
         elif command == KEEP_OUT:
             table.setdefault("keep_out", []).append({"vertices": places})
@@ -193,7 +190,6 @@ def _place(item: Item) -> dict[str, float]:
 
 def _corners(centre: dict[str, float], radius_m: float) -> Ring:
     """Return the corners of the polygon in a circle."""
-    angles = 2.0 * math.pi * np.arange(CORNERS) / CORNERS
-    offsets = radius_m * np.column_stack([np.cos(angles), np.sin(angles)])
+    offsets = shapely.get_coordinates(shapely.Point(0.0, 0.0).buffer(radius_m, quad_segs=CORNERS // 4))
     places = [degrees(north, east, Origin(**centre)) for north, east in offsets.tolist()]
     return [dict(zip(DEGREES, place, strict=True)) for place in places]

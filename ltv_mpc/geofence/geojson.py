@@ -146,15 +146,11 @@ def features_of(text: str | bytes, source: str, notes: list[str]) -> tuple[dict[
 
 def _joined(shape: Any) -> Any:
     """Return a MultiLineString whose parts begin where the one before ends, as ogr2ogr writes tracks, as LineString."""
-    parts = [
-        shapely.get_coordinates(part, include_z=shape.has_z) for part in shapely.get_parts(shape) if not part.is_empty
-    ]
+    if shape.geom_type != "MultiLineString" or shape.is_empty:
+        return shape
+    parts = [shapely.get_coordinates(part, include_z=shape.has_z) for part in shape.geoms if not part.is_empty]
     gaps = (after[0] - before[-1] for before, after in itertools.pairwise(parts))
-    if (
-        shape.geom_type != "MultiLineString"
-        or not parts
-        or any(math.remainder(gap[0], 360.0) or gap[1] for gap in gaps)
-    ):
+    if any(math.remainder(gap[0], 360.0) or gap[1] for gap in gaps):
         return shape
     return shapely.LineString(np.concatenate([parts[0], *(part[1:] for part in parts[1:])]))
 
@@ -274,12 +270,7 @@ def zones_around(groups: list[list[Any]], where: str, source: str) -> dict[str, 
 
 def _on_one_side(polygon: Any, longitude_deg: float) -> Any:
     """Return a polygon (degrees) whose longitudes differ from another one by half a turn at most."""
-
-    def moved(at: Any) -> Any:
-        """Return positions (K, 2) whose longitudes are whole turns away."""
-        return at - [360.0, 0.0] * np.round((at - longitude_deg) / 360.0)
-
-    return shapely.transform(polygon, moved)
+    return shapely.transform(polygon, lambda at: at - [360.0, 0.0] * np.round((at - longitude_deg) / 360.0))
 
 
 def _polygons(geometry: Any) -> list[Any]:

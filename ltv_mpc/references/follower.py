@@ -164,7 +164,7 @@ class Follower:
         self._vehicle = vehicle
         limits = path_limits(vehicle)
         self._speeds = _Speeds(min(limits.cruise_mps, LIMIT_SHARE * max_speed_mps), min(limits.top_mps, max_speed_mps))
-        self._allowed: Allowed = _unrestricted
+        self._allowed: Allowed = lambda schedule: (schedule, 0.0)  # without restriction
         self._track: _Track | None = None  # None before the reference starts
         self._tau_s = 0.0
         self._rate = 1.0
@@ -392,10 +392,6 @@ class Follower:
         line = table[(NORTH, EAST), 0] - lateral[:2]
         way = (self._speeds.cruise_mps + math.hypot(*current)) * seconds
         return lateral[:2] + np.minimum(way / max(math.hypot(*line), 1e-9), 1.0)[:, None] * line
-
-
-def _unrestricted(schedule: Schedule) -> tuple[Schedule, float]:
-    return schedule, 0.0
 
 
 def _stay(table: Array, way_m: float) -> tuple[float, float]:

@@ -18,7 +18,7 @@ import pymap3d
 from msgspec import Meta
 
 from ltv_mpc.csv_table import Row, read_table
-from ltv_mpc.errors import ConfigError
+from ltv_mpc.errors import ConfigError, naming
 from ltv_mpc.messages import Pair
 
 METRES, DEGREES, DEPTH = ("north_m", "east_m"), ("latitude_deg", "longitude_deg"), "depth_m"
@@ -113,10 +113,8 @@ def read_places(
         raise ConfigError(source, "", problem if len(table) < rows[0] else f"has {len(table)} rows: at most {rows[1]}")
     for line, row in table.items():
         place = Place(**{name: row.pop(name) for name in (*METRES, *DEGREES) if name in row})
-        try:
+        with naming(source, f"line {line}"):
             row.update(zip(METRES, local(place, origin), strict=True))
-        except ValueError as error:
-            raise ConfigError(source, f"line {line}", str(error)) from None
     return table
 
 

@@ -12,10 +12,10 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from msgspec import Meta, Struct
+from msgspec import Meta, Struct, ValidationError, convert
 
 from ltv_mpc import config
-from ltv_mpc.errors import ConfigError
+from ltv_mpc.errors import ConfigError, naming
 from ltv_mpc.references.geodesy import Origin
 from ltv_mpc.references.mission_items import (
     LAST,
@@ -35,6 +35,8 @@ MAX_SPEED_MPS = 20.0
 """Largest speed of a reference."""
 MOST_REFUSALS = 10
 """Number of refused items that an error names."""
+_ITEM = tuple[int, int, int, int, float, float, float, float, float, float, float, float]
+"""Line of QGC WPL 110: number, is current, frame, command, 4 parameters, latitude, longitude, altitude, continues."""
 QGC_WPL = "QGC WPL "
 """Begin of a list of items, which programs write with several suffixes."""
 
@@ -106,10 +108,8 @@ def read(path: Path, source: str, notes: list[str]) -> dict[str, Any] | None:
     home, stops = reader(text, source, notes)
     if not stops:
         raise ConfigError(source, "", "has no path and no point")
-    try:
+    with naming(source):
         table = reference_table(stops, home or _origin(stops[0].place.latitude_deg, stops[0].place.longitude_deg))
-    except ValueError as error:
-        raise ConfigError(source, "", str(error)) from None
     if table["kind"] == "point" and len(stops) > 1:
         notes.append(f"{source}: its {len(stops)} positions are one place, a point at which the vehicle stays")
     return table
@@ -155,13 +155,10 @@ def _mission(items: Sequence[Item], speed_mps: float, source: str, notes: list[s
     refused = refusals(items, dives=dives)
     endless = next((k for k, item in enumerate(items) if item.command in LAST), len(items))
     refused += [ItemRefused(item, "follows an item without an end") for item in items[endless + 1 :]]
-    try:
-        stops = [] if refused else stops_of(items, home, speed_mps, None, dives=dives)
-    except ItemRefused as error:
-        refused = [error]
-    if refused:
-        raise ConfigError(source, "", f"cannot be followed: {'; '.join(map(str, refused[:MOST_REFUSALS]))}")
-    return home, stops
+    with naming(source, problem="cannot be followed: "):
+        if refused:
+            raise ValueError("; ".join(map(str, refused[:MOST_REFUSALS])))
+        return home, stops_of(items, home, speed_mps, None, dives=dives)
 
 
 def read_waypoints(text: str, source: str) -> list[Item]:
@@ -178,13 +175,10 @@ def read_waypoints(text: str, source: str) -> list[Item]:
     items = []
     for k, line in enumerate(lines, start=2):
         try:
-            if cells := [float(cell) for cell in line.partition("#")[0].split()]:
-                number, _, frame, command = map(int, cells[:4])
-                *parameters, latitude, longitude, altitude, _ = cells[4:]
-                if len(parameters) != 4 or any(cell % 1.0 for cell in cells[:4]):
-                    raise ValueError
-                items.append(Item(number, command, frame, tuple(parameters), latitude, longitude, altitude))
-        except (ValueError, OverflowError):
+            if cells := line.partition("#")[0].split():
+                number, _, frame, command, *rest = convert(cells, _ITEM, strict=False)
+                items.append(Item(number, command, frame, tuple(rest[:4]), *rest[4:7]))
+        except ValidationError:
             raise ConfigError(source, f"line {k}", "must have 12 numbers, the first 4 whole", value=line[:60]) from None
     if not items:
         raise ConfigError(source, "", "has no items")
@@ -252,8 +246,7 @@ def _gpx(text: str, source: str, notes: list[str]) -> Content:
         gpx = gpxpy.parse(text.partition("?>")[2] if text.startswith("<?xml") else text)  # it is no more as declared
     except (gpxpy.gpx.GPXException, ValueError) as error:
         raise ConfigError(source, "", f"is not valid GPX: {error}") from None
-    found: list[list[Any]] = [list(route.points) for route in gpx.routes]
-    found += [[point for segment in track.segments for point in segment.points] for track in gpx.tracks]
+    found = [list(of.walk(only_points=True)) for of in list[Any]((*gpx.routes, *gpx.tracks))]
     paths = list(filter(None, found))
     empty, beside = len(found) - len(paths), len(gpx.waypoints) if paths else 0
     paths = paths or [[point] for point in gpx.waypoints]

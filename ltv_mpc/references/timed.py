@@ -19,7 +19,7 @@ import numpy as np
 from msgspec import Meta
 
 from ltv_mpc.csv_table import check_bounds
-from ltv_mpc.errors import ConfigError
+from ltv_mpc.errors import ConfigError, naming
 from ltv_mpc.messages import Array, ReferenceStart
 from ltv_mpc.references.base import BaseReference
 from ltv_mpc.references.geodesy import DEPTH, METRES, read_places
@@ -105,15 +105,14 @@ class Timed(BaseReference, frozen=True, kw_only=True, tag="timed"):
                 f"around them: t_s = {', '.join(f'{at:g}' for at in t[left_out[:MOST_NAMED]])}"
                 f"{', ...' * (len(left_out) > MOST_NAMED)}"
             )
-        if late.max() <= IN_TIME_S:
-            return notes
-        first = int(np.argmax(late > IN_TIME_S))
-        return [
-            *notes,
-            f"{np.count_nonzero(late > IN_TIME_S)} of {len(t)} rows cannot be reached in time (the vehicle does "
-            f"{path_limits(vehicle).cruise_mps:.2f} m/s straight on, less in bends): the first at t_s = {t[first]:g}; "
-            f"the latest by {late.max():.1f} s, the last by {late[-1]:.1f} s",
-        ]
+        behind = np.flatnonzero(late > IN_TIME_S)
+        if len(behind):
+            notes.append(
+                f"{len(behind)} of {len(t)} rows cannot be reached in time (the vehicle does "
+                f"{path_limits(vehicle).cruise_mps:.2f} m/s straight on, less in bends): the first at t_s = "
+                f"{t[behind[0]]:g}; the latest by {late.max():.1f} s, the last by {late[-1]:.1f} s"
+            )
+        return notes
 
     def _rows(self, vehicle: Vehicle) -> tuple[Array, Numbers]:
         """Return the rows (K, 4), in which outliers are between the rows around them, and the numbers of these."""
@@ -169,7 +168,5 @@ def from_csv(timed: Timed, path: Path, *, source: str) -> Timed:
         if after[0] <= before[0]:
             problem = f"must be later than the row before it, {before[0]:g} s"
             raise ConfigError(source, f"line {k} t_s", problem, value=after[0])
-    try:
+    with naming(source):
         return msgspec.structs.replace(timed, file="", rows=rows)
-    except ValueError as error:
-        raise ConfigError(source, "", str(error)) from None

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from ltv_mpc.geofence.allowed_path import STEP_M, allowed_path
 from ltv_mpc.geofence.fence import Fence
-from ltv_mpc.geofence.route import Router
+from ltv_mpc.geofence.route import Router, length_m
 from ltv_mpc.geofence.zones import Zones, clearances, pack_zones
 from ltv_mpc.messages import Array, Pair
 from ltv_mpc.references.schedule import DEPTH, EAST, NORTH, WAY, Schedule
@@ -108,8 +108,7 @@ def check_fence(fence: Fence, hull_m: float, schedule: Schedule, start: Pair | N
         if not (leg[-1] == goal).all():
             problems.append(f"there is no way round the zones from the start to ({goal[0]:.1f}, {goal[1]:.1f})")
         elif len(leg) > 2:
-            length_m = float(np.hypot(*np.diff(leg, axis=0).T).sum())
-            notes.append(f"the way from the start leads round the zones: {length_m:.1f} m")
+            notes.append(f"the way from the start leads round the zones: {length_m(leg):.1f} m")
     narrowest = None if is_point else _narrowest(fence, packed, allowed, hull_m)
     return FenceCheck(checks, narrowest, allowed.duration_s, problems, notes)
 

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from ltv_mpc.control.failed_qp import NamedQp
 from ltv_mpc.control.ocp.extension import Limit, Term
 from ltv_mpc.control.solvers.recorder import QpRecorder
-from ltv_mpc.errors import ConfigError
+from ltv_mpc.errors import ConfigError, naming
 from ltv_mpc.messages import ImuSamples, Message, Plan, StepRecord
 from ltv_mpc.settings_schema import scalar_fields, suggestion
 from ltv_mpc.validation import bounds
@@ -206,10 +206,8 @@ def summary_of(recording: Path) -> dict[str, Any]:
     """
     if found := folder.read_summary(recording):
         for field in (field for field in msgspec.structs.fields(Summary) if field.name in found):
-            try:
+            with naming(f"summary {recording.with_name('summary.json')}", field.name):
                 msgspec.convert(found[field.name], field.type)
-            except msgspec.ValidationError as error:
-                raise ConfigError(f"summary {recording.with_name('summary.json')}", field.name, str(error)) from None
         return found
     try:
         run_config = resolve(str(recording.with_name("scenario.toml")))

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ltv_mpc import config
 from ltv_mpc.control.prediction import current_at_depth, profile_of
-from ltv_mpc.errors import ConfigError
+from ltv_mpc.errors import ConfigError, naming
 from ltv_mpc.messages import Applied, Array, Authority, Estimate, Pair, Plan, Times, Triple
 from ltv_mpc.vehicle.identification import (
     CannotIdentify,
@@ -112,9 +112,6 @@ def identify_run(path: Path, vehicle: Vehicle, known: Known, known_yaw: KnownYaw
     except CannotIdentify as error:
         problem = "does not excite the vehicle enough" if isinstance(error, NotEnoughMotion) else "cannot be fitted"
         raise ConfigError(name_of(path), "", f"{problem}: {error}") from None
-    u, v, r = identification.sd.tolist()
-    north_mps, east_mps = identification.current_mps.tolist()
-    north_half_mps, east_half_mps = identification.current_half_mps.tolist()
     return IdentifyReport(
         run=str(path if is_log(path) else path.parent),
         vehicle=vehicle.name,
@@ -124,9 +121,9 @@ def identify_run(path: Path, vehicle: Vehicle, known: Known, known_yaw: KnownYaw
         segments=identification.segments,
         input="pwm" if is_log(path) else "plan" if motion.thrust is None else "applied",
         known=(known, known_yaw),
-        current_mps=(north_mps, east_mps),
-        current_half_mps=(north_half_mps, east_half_mps),
-        residual_sd=(u, v, r),
+        current_mps=tuple(identification.current_mps.tolist()),
+        current_half_mps=tuple(identification.current_half_mps.tolist()),
+        residual_sd=tuple(identification.sd.tolist()),
         found=identification.coefficients,
         not_excited=[one.name for one in identification.coefficients if not one.excited and not one.declared],
         warnings=[*notes, *identification.warnings],
@@ -275,10 +272,8 @@ def _sd(estimates: list[Estimate]) -> Array:
 
 def identified_vehicle(path: Path, vehicle: Vehicle, report: IdentifyReport) -> Vehicle:
     """Return the vehicle with the identified coefficients. Raises ``ConfigError`` if a vehicle file rejects them."""
-    try:
+    with naming(name_of(path), problem="fits no vehicle that a file accepts: "):  # limits scaled beyond their bounds
         return with_coefficients(vehicle, report.found)
-    except ValueError as error:  # such as limits scaled beyond their bounds
-        raise ConfigError(name_of(path), "", f"fits no vehicle that a file accepts: {error}") from None
 
 
 def format_text(report: IdentifyReport) -> str:

@@ -115,9 +115,7 @@ def _order(settings: Settings) -> list[int]:
 def _directions(ensemble: Ensemble) -> Array:
     """Return the unit vectors of the file's beams 1 to 4, (4, 3), NED."""
     settings = ensemble.settings
-    s, k = math.sin(settings.beam_angle_rad), math.cos(settings.beam_angle_rad)
-    c = 1.0 if settings.convex else -1.0
-    xyz = np.array([[-c * s, 0, -k], [c * s, 0, -k], [0, c * s, -k], [0, -c * s, -k]])
+    xyz = -np.linalg.inv(instrument_matrix(settings))[:, :3]  # water that moves away from the transducer has b < 0
     M = earth_matrix(ensemble.heading_rad, ensemble.pitch_rad, ensemble.roll_rad, upward=settings.upward)
     return xyz @ (_ENU_TO_NED @ M).T
 

@@ -83,7 +83,8 @@ def parse(data: bytes, *, source: str, max_losses: int = MAX_LISTED_LOSSES) -> R
     ConfigError
         If there is no valid ensemble, with the offset and reason of the first loss.
     """
-    total = _running_sum(data)
+    u8, total = np.frombuffer(data, dtype=np.uint8), np.zeros(len(data) + 1, dtype=np.uint16)
+    np.cumsum(u8, dtype=np.uint16, out=total[1:])  # wraps like the checksum
     ensembles: list[Ensemble] = []
     losses: list[Loss] = []
     places = lost = end = 0
@@ -101,7 +102,7 @@ def parse(data: bytes, *, source: str, max_losses: int = MAX_LISTED_LOSSES) -> R
         if len(losses) < max_losses:
             losses.append(Loss(start, stop - start, why or _diagnosis(data, total, start, stop)))
 
-    for start, length in _frames(np.frombuffer(data, dtype=np.uint8), total):
+    for start, length in _frames(u8, total):
         if start < end:
             continue
         if start > end:
@@ -147,13 +148,6 @@ def increasing(stamps: Sequence[int]) -> list[int]:
         run.append(at)
         at = behind[at]
     return run
-
-
-def _running_sum(data: bytes) -> Sums:
-    """Return the running sums modulo 65536, (bytes + 1,): total[i] is the sum of the first i bytes."""
-    total = np.zeros(len(data) + 1, dtype=np.uint16)
-    np.cumsum(np.frombuffer(data, dtype=np.uint8), dtype=np.uint16, out=total[1:])  # wraps like the checksum
-    return total
 
 
 def _frames(u8: Bytes, total: Sums) -> Iterator[tuple[int, int]]:

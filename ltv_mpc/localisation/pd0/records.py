@@ -16,7 +16,7 @@ from __future__ import annotations
 import itertools
 import math
 import struct
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from enum import Enum
 from typing import NamedTuple
 
@@ -32,7 +32,6 @@ HEADER = 6
 MAX_DEPTH_M = 12_000.0
 """Largest valid depth (m). A larger depth or pressure is ignored."""
 SEA_WATER_KGPM3 = 1025.0
-_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _KILOHERTZ = {0: 75, 1: 150, 2: 300, 3: 600, 4: 1200, 5: 2400, 6: 38}
 _ANGLE_DEG = {0: 15, 1: 20, 2: 30}
 
@@ -220,8 +219,7 @@ def _time(leader: memoryview) -> int:
         moment = datetime(1900 + year if year >= 80 else 2000 + year, month, day, hour, minute, second, tzinfo=UTC)
     except ValueError:
         raise DamagedEnsemble("its clock is not a valid date") from None
-    whole = (moment - _EPOCH) // timedelta(seconds=1)
-    return whole * 1_000_000_000 + hundredth * 10_000_000
+    return int(moment.timestamp()) * 1_000_000_000 + hundredth * 10_000_000
 
 
 def _depth(leader: memoryview) -> float:

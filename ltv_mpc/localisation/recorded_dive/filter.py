@@ -113,7 +113,7 @@ def run(ensembles: Sequence[BeamEnsemble], noise: BeamNoise, parameters: DivePar
     gate = float(chi2.ppf(parameters.gate_probability, 1))
     changes = velocity_changes(ensembles, masks, noise, parameters.velocity_change_mps_per_rts)
     x, P = model.prior()
-    position, velocity, covariance = [], [], []
+    states = []
     fixed = last_fix = used = rejected = 0
     all_nis = [np.empty(0)]
     for k, (ensemble, mask) in enumerate(zip(ensembles, masks, strict=True)):
@@ -128,10 +128,8 @@ def run(ensembles: Sequence[BeamEnsemble], noise: BeamNoise, parameters: DivePar
             fixed, last_fix = fixed + 1, k
         used, rejected = used + int(accepted[:cells].sum()), rejected + int((~accepted[:cells]).sum())
         all_nis.append(nis[:cells])
-        position.append(x[POSITION].copy())
-        velocity.append(x[VELOCITY].copy())
-        covariance.append(P[POSITION, POSITION].copy())
-    position_covariance, velocity_mps = np.array(covariance), np.array(velocity)
+        states.append((x[POSITION].copy(), x[VELOCITY].copy(), P[POSITION, POSITION].copy()))
+    position_m, velocity_mps, position_covariance = map(np.array, zip(*states, strict=True))
     if parameters.water_change_mps_per_rtm:
         t_s = 1e-9 * np.array([e.t_ns - ensembles[last_fix].t_ns for e in ensembles[last_fix:]], dtype=np.float64)
         added = added_variance(t_s, velocity_mps[last_fix:], parameters.water_change_mps_per_rtm)
@@ -139,7 +137,7 @@ def run(ensembles: Sequence[BeamEnsemble], noise: BeamNoise, parameters: DivePar
     there = sum(int(np.isfinite(e.velocity_mps).sum()) for e in ensembles)
     return Track(
         t_ns=tuple(e.t_ns for e in ensembles),
-        position_m=np.array(position),
+        position_m=position_m,
         position_covariance=position_covariance,
         velocity_mps=velocity_mps,
         fixes=fixed,

@@ -84,24 +84,15 @@ class Model:
         """Spacing of the grid points (m)."""
         return float(self.depth_m[1] - self.depth_m[0])
 
-    def nearest(self, range_m: Array) -> npt.NDArray[np.int64]:
-        """Return the indices of the nearest ranges that have a bias.
-
-        Parameters
-        ----------
-        range_m : ranges of cells (m).
-        """
-        if self.cells == 1:
-            return np.zeros(len(range_m), dtype=np.int64)
-        place = (range_m - self.range_m[0]) / (self.range_m[1] - self.range_m[0])
-        nearest: npt.NDArray[np.int64] = np.clip(np.rint(place), 0, self.cells - 1).astype(np.int64)
-        return nearest
+    @property
+    def biases(self) -> slice:
+        """Slice of the biases of all beams."""
+        return slice(BIAS, BIAS + BEAMS * self.cells)
 
     @property
     def north(self) -> slice:
         """Slice of the current north."""
-        start = BIAS + BEAMS * self.cells
-        return slice(start, start + len(self.depth_m))
+        return slice(self.biases.stop, self.biases.stop + len(self.depth_m))
 
     @property
     def east(self) -> slice:
@@ -113,24 +104,13 @@ class Model:
         """Number of states n."""
         return BIAS + BEAMS * self.cells + 2 * len(self.depth_m)
 
-    def bias_of(self, beam: int) -> slice:
-        """Return the slice of the biases of one beam.
-
-        Parameters
-        ----------
-        beam : number of the beam, 0 to 3.
-        """
-        start = BIAS + beam * self.cells
-        return slice(start, start + self.cells)
-
     def prior(self) -> tuple[Array, Array]:
         """Return the prior estimate (n,) and covariance (n, n); the position is 0 by definition."""
         p = self.parameters
         P = np.zeros((self.size, self.size))
         P[VELOCITY, VELOCITY] = p.velocity_sd_mps**2 * np.eye(2)
         P[HEAVE, HEAVE] = HEAVE_SD_MPS**2
-        for beam in range(BEAMS):
-            P[self.bias_of(beam), self.bias_of(beam)] = self.bias
+        P[self.biases, self.biases] = np.kron(np.eye(BEAMS), self.bias)
         for axis in (self.north, self.east):
             P[axis, axis] = p.water_mean_sd_mps**2 + p.water_sd_mps**2 * self.correlation
         return np.zeros(self.size), P
@@ -151,22 +131,14 @@ class Model:
         P[POSITION, :] += dt * P[VELOCITY, :]
         P[:, POSITION] += dt * P[:, VELOCITY]
         q2 = change_mps_per_rts**2
-        for a in range(2):
-            P[a, a] += q2 * dt**3 / 3
-            P[a, a + 2] += q2 * dt**2 / 2
-            P[a + 2, a] += q2 * dt**2 / 2
-            P[a + 2, a + 2] += q2 * dt
-        x[HEAVE] = 0.0
-        P[HEAVE, :] = 0.0
-        P[:, HEAVE] = 0.0
+        P[:HEAVE, :HEAVE] += q2 * np.kron([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]], np.eye(2))
+        x[HEAVE] = P[HEAVE, :] = P[:, HEAVE] = 0.0
         P[HEAVE, HEAVE] = HEAVE_SD_MPS**2
         f = math.exp(-dt / p.bias_tau_s)
-        all_beams = slice(BIAS, self.north.start)
-        x[all_beams] *= f
-        P[all_beams, :] *= f
-        P[:, all_beams] *= f
-        for beam in range(BEAMS):
-            P[self.bias_of(beam), self.bias_of(beam)] += (1 - f * f) * self.bias
+        x[self.biases] *= f
+        P[self.biases, :] *= f
+        P[:, self.biases] *= f
+        P[self.biases, self.biases] += (1 - f * f) * np.kron(np.eye(BEAMS), self.bias)
         for axis in (self.north, self.east):
             P[axis, axis] += p.water_change_mps_per_rts**2 * dt * self.correlation
 
@@ -211,7 +183,8 @@ def beams(model: Model, ensemble: BeamEnsemble, mask: Mask, sd_mps: Array) -> Ba
     H = np.zeros((m, model.size))
     H[:, VELOCITY] = -u[:, :2]
     H[:, HEAVE] = -u[:, 2]
-    H[each, BIAS + beam * model.cells + model.nearest(ensemble.range_m[cell])] = 1.0
+    nearest = np.abs(ensemble.range_m[cell, None] - model.range_m).argmin(axis=1)
+    H[each, BIAS + beam * model.cells + nearest] = 1.0
     h, last = model.spacing_m, len(model.depth_m) - 2
     depth = ensemble.depth_m + ensemble.below_m[beam, cell]
     for shift, weight in _TRIANGLE:

@@ -59,15 +59,14 @@ def uniformity(ensembles: Sequence[BeamEnsemble], parameters: DiveParameters) ->
     steps_m = np.hypot(*path.velocity_mps[1:].T) * np.diff(path.t_s)
     run_m = np.concatenate([[0.0], np.nancumsum(steps_m)])
     number, depth_m, current_mps = _currents(ensembles, parameters.min_good_share)
-    distance, time, square = [np.empty(0)], [np.empty(0)], [np.empty(0)]
+    pairs = [np.empty((3, 0))]  # of each layer: distance, time, square of the difference
     layers = np.round(depth_m / min(e.settings.cell_m for e in ensembles))
     for layer in np.unique(layers):
         here = np.flatnonzero(layers == layer)
         k, m = (here[index] for index in np.triu_indices(len(here), 1))
-        distance.append(np.abs(run_m[number[k]] - run_m[number[m]]))
-        time.append(np.abs(path.t_s[number[k]] - path.t_s[number[m]]))
-        square.append(((current_mps[k] - current_mps[m]) ** 2).mean(axis=1))
-    S, T, D = (np.concatenate(each) for each in (distance, time, square))
+        apart = (np.abs(of[number[k]] - of[number[m]]) for of in (run_m, path.t_s))
+        pairs.append(np.array([*apart, ((current_mps[k] - current_mps[m]) ** 2).mean(axis=1)]))
+    S, T, D = np.concatenate(pairs, axis=1)
     if len(S) < MIN_PAIRS or not S.any():
         return None
     expected = parameters.water_change_mps_per_rts

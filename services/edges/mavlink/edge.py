@@ -194,11 +194,8 @@ class MavlinkEdge(Edge):
         yield from self._mission.commands()
         for name, (number, interval_us) in INTERVALS_US.items():
             if now_us > self._seen_us.get(name, -SILENT_US) + SILENT_US - SECOND_US:
-                yield self._send(
-                    self._codec.make.command_long_encode(
-                        *self._target, SET_MESSAGE_INTERVAL, 0, number, interval_us, 0, 0, 0, 0, 0
-                    )
-                )
+                asked = SET_MESSAGE_INTERVAL, 0, number, interval_us, 0, 0, 0, 0, 0
+                yield self._send(self._codec.make.command_long_encode(*self._target, *asked))
 
     def _reports(self) -> Iterator[Outgoing]:
         counted = self.navigation.restarts, self.navigation.resets

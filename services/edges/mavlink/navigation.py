@@ -129,10 +129,9 @@ class Navigation:
 
     def odometry(self, message: Any) -> Iterator[Estimate]:
         """Convert an ODOMETRY of the local NED frame, body FRD. Raises ``Refused``."""
-        if message.frame_id not in (1, 20) or message.child_frame_id != 12:  # LOCAL_NED, LOCAL_FRD; BODY_FRD
-            raise Refused(
-                f"odometry: frames {message.frame_id}, {message.child_frame_id} must be local NED and body FRD"
-            )
+        frame, body = message.frame_id, message.child_frame_id
+        if frame not in (1, 20) or body != 12:  # LOCAL_NED, LOCAL_FRD; BODY_FRD
+            raise Refused(f"odometry: frames {frame}, {body} must be local NED and body FRD")
         x, y, z, u, v, w, q, r = _finite(
             message.x, message.y, message.z, message.vx, message.vy, message.vz, message.pitchspeed, message.yawspeed
         )
@@ -146,14 +145,10 @@ class Navigation:
         pose, twist = _matrix("pose", message.pose_covariance), _matrix("velocity", message.velocity_covariance)
         if pose is not None or twist is not None:
             assumed_pose, assumed_twist = self._accuracy.pose_and_twist
-            if pose is not None:  # roll and pitch are small, and about axes that have the heading
-                turn = np.eye(6)
-                cos, sin = math.cos(heading), math.sin(heading)
-                turn[3:5, 3:5] = (cos, -sin), (sin, cos)
-                pose = turn @ pose @ turn.T
-            P = covariance(
-                R, velocity, rates, assumed_pose if pose is None else pose, assumed_twist if twist is None else twist
-            )
+            turn, cos, sin = np.eye(6), math.cos(heading), math.sin(heading)
+            turn[3:5, 3:5] = (cos, -sin), (sin, cos)  # roll and pitch are small, and about axes that have the heading
+            pose = assumed_pose if pose is None else turn @ pose @ turn.T
+            P = covariance(R, velocity, rates, pose, assumed_twist if twist is None else twist)
             estimate = structs.replace(estimate, covariance=P)
         return self._by_odometry(estimate, message.reset_counter)
 

@@ -206,7 +206,7 @@ def test_a_row_is_the_beam_through_water_that_is_linear_in_depth() -> None:
             if mask[i, j]:
                 u = ensemble.direction[i]
                 c = offset + slope * (20.0 + ensemble.below_m[i, j])
-                bias = x[model.bias_of(i)][j]
+                bias = x[model.biases][i * model.cells + j]
                 expected.append(u[:2] @ (c - x[VELOCITY]) - u[2] * x[HEAVE] + bias)
                 variance.append(1.3 * np.linspace(0.01, 0.02, 5)[j] ** 2 / 0.5)
     np.testing.assert_allclose(batch.H @ x, expected, atol=1e-12)
