@@ -15,12 +15,12 @@ from benchmarks.peers.loop import Held, candidate_of, closed
 from services.tools.profile import machine_description, problems
 from services.tools.profile.measure import Candidate, measure, solver_by_name
 from services.tools.profile.problems import Episode, seconds
-from services.tools.profile.run import WARM_UP, YARDSTICK, Spread
+from services.tools.profile.run import WARM_UP, Spread
 
 OURS: dict[Candidate, str] = {
     solver_by_name("osqp"): "this project: OSQP, sparse",
     solver_by_name("riccati"): "this project: Riccati sweeps",
-    YARDSTICK: "PIQP, sparse",
+    solver_by_name("piqp"): "PIQP by qpsolvers",
 }
 
 PACKAGES = (

@@ -32,7 +32,7 @@ def profile(
     horizons: Annotated[
         str, option("STAGES,...", "Stages of 0.3 s (17: 5.1 s); default: the vehicle's.")
     ] = "default,17",
-    solvers: Annotated[str, option("NAME,...", "Installed solvers. PIQP is always measured too.")] = "osqp,riccati",
+    solvers: Annotated[str, option("NAME,...", "Installed solvers. Riccati is always measured too.")] = "osqp,riccati",
     cycles: Annotated[int, option("N", "Number of cycles per horizon.", min=10, max=100000)] = 600,
     run: Annotated[
         str | None, option("RUN", "Use the problems of a recorded run: its folder, its run.mcap, or latest.")
@@ -46,7 +46,7 @@ def profile(
 
     The cycles come from closed loops in lock step with the true state: half of them from the paper's descent, a quarter
     with a current of 4 cm/s that the controller does not know, a quarter that start 2 m off with a heading error of up
-    to 3 rad. Every solver solves each cycle, in random order. The ratios compare it with PIQP by its own interface.
+    to 3 rad. Every solver solves each cycle, in random order. The ratios compare it with the Riccati solver.
     """
     from services.reporting.terminal import progress_bar
 

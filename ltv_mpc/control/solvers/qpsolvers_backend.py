@@ -114,7 +114,8 @@ def solve_qp(qp: QP, solver: str = "osqp") -> Solution:
 
 
 EXACT: dict[str, dict[str, float]] = {
-    "osqp": {"eps_abs": 1e-7, "eps_rel": 1e-7, "max_iter": 100_000, "polishing": True}
+    "osqp": {"eps_abs": 1e-7, "eps_rel": 1e-7, "max_iter": 100_000, "polishing": True},
+    "piqp": dict.fromkeys(("eps_abs", "eps_rel", "eps_duality_gap_abs", "eps_duality_gap_rel"), 1e-10),
 }
 """Settings of backends whose defaults are too coarse."""
 

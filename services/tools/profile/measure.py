@@ -29,19 +29,18 @@ from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.control.problem_data import CHANGES, COMMANDS
 from ltv_mpc.control.scaling import thrust_scale
-from ltv_mpc.control.solvers import Solver, SolverFactory, make
+from ltv_mpc.control.solvers import Solver, SolverFactory, make, solve_qp
 from ltv_mpc.control.solvers.recorder import RecordingSolver
+from ltv_mpc.control.solvers.sparse import solution_of, sparse_qp
 from ltv_mpc.messages import Array, Estimate, Plan, Solve, SolveStatus
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.runtime.stage_timer import StageTimer
-from services.tools.profile.piqp_yardstick import PiqpYardstick
 from services.tools.profile.problems import Episode, length_s
 
 STAGES = ("predict", "linearise", "build", "solve", "read")
 
-EXACT = 1e-10
-"""Tolerance of the solution that thrusts are compared with: four orders below what is compared."""
-
+REFERENCE = "piqp"
+"""Backend of qpsolvers whose solution thrusts are compared with, to a tolerance of 1e-10."""
 
 FLUSH_BYTES = 1 << 26
 """Memory that is written to flush the caches: more than the last cache of a core's share."""
@@ -57,15 +56,6 @@ class Candidate(NamedTuple):
 def solver_by_name(name: str) -> Candidate:
     """Return a solver that ``[controller] solver`` can name."""
     return Candidate(name, lambda vehicle, config: make(vehicle, msgspec.structs.replace(config, solver=name)))
-
-
-def piqp_native(tolerance: float | None = None) -> Candidate:
-    """Return PIQP through its own interface, with an absolute and relative tolerance; None: PIQP's own.
-
-    Its name is not ``piqp``, which is the one of qpsolvers.
-    """
-    name = "PIQP native" if tolerance is None else f"PIQP native {tolerance:g}"
-    return Candidate(name, lambda _vehicle, _config: PiqpYardstick(tolerance))
 
 
 class Samples:
@@ -145,7 +135,8 @@ class _Bench(ControllerNode):
         plan = driver.plan(estimate, t_ns=t_ns)
         if plan.solve.status is not SolveStatus.NOT_RUN:
             if self._begun:  # the first cycle starts from a crude guess
-                exact = PiqpYardstick(EXACT).solve(order[0].recorded.problem, 0.0).z  # the same problem for all
+                problem = order[0].recorded.problem  # the same for all
+                exact = solution_of(problem, solve_qp(sparse_qp(problem), REFERENCE).x)
                 for controller, own in zip(order, laps, strict=True):
                     controller.keep(own, exact)
                 self._left -= 1

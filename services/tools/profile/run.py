@@ -1,4 +1,4 @@
-"""Latency profile of a controller cycle on this machine, by solver and horizon, with PIQP as the reference.
+"""Latency profile of a controller cycle on this machine, by solver and horizon, beside the Riccati solver.
 
 A ratio is of whole control steps, on the same problems in the same run; it means something between rows whose thrusts
 are equally near the exact solution.
@@ -17,14 +17,11 @@ import numpy as np
 from ltv_mpc.errors import ConfigError
 from services.tools.profile import problems
 from services.tools.profile.machine_description import Machine, load, machine
-from services.tools.profile.measure import Candidate, Samples, measure, piqp_native, solver_by_name
+from services.tools.profile.measure import Candidate, Samples, measure, solver_by_name
 from services.tools.profile.problems import Episode, seconds
 
-YARDSTICK = piqp_native()
-"""Always measured: what every other row is a ratio of."""
-
-RELAXED = piqp_native(1e-6)
-"""Always measured, too: the yardstick at the quality that is asked of the others, 0.1 N in 99 % of the cycles."""
+YARDSTICK = solver_by_name("riccati")
+"""Always measured: what every other row is a ratio of. It depends on no package but numpy and numba."""
 
 WARM_UP = 20
 """Cycles of a descent that are solved before any is measured: cold caches, and what is set up at first use."""
@@ -112,16 +109,17 @@ def run(
     seed: int,
     progress: Callable[[float], None],
 ) -> Profile:
-    """Measure PIQP and each solver on the episodes of each horizon. Raises ``ConfigError`` if no cycle was solved.
+    """Measure the yardstick and each solver on the episodes of each horizon. Raises ``ConfigError`` if none is solved.
 
     Parameters
     ----------
     by_horizon : the episodes of each horizon.
-    solvers : measured beside PIQP.
+    solvers : measured beside the yardstick.
     seed : of the order of the solvers.
     progress : receives the share done.
     """
-    candidates, order = (YARDSTICK, RELAXED, *solvers), random.Random(seed)
+    candidates = YARDSTICK, *(solver for solver in solvers if solver.name != YARDSTICK.name)
+    order = random.Random(seed)
     rows: list[Row] = []
     load_before = load()
     total = sum(WARM_UP + sum(episode.cycles for episode in episodes) for episodes in by_horizon)

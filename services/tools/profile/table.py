@@ -9,7 +9,7 @@ from services.tools.profile import machine_description
 from services.tools.profile.measure import STAGES
 from services.tools.profile.run import Profile, Row
 
-CYCLES = ("solver", "horizon", "hot", "turns", "cold", "p99", "max", *("of PIQP: hot", "turns", "cold", "p99"),
+CYCLES = ("solver", "horizon", "hot", "turns", "cold", "p99", "max", *("of riccati: hot", "turns", "cold", "p99"),
           *("iterations", "p99"), *("off (N)", "p99", "max"), "status")  # fmt: skip
 
 
@@ -31,8 +31,8 @@ def text(profile: Profile) -> str:
                     "hot: the same cycle repeated at once; turns: after the other candidates; cold: after a flush of"
                     " caches",
                     "a service sees cold: between two of its cycles other processes use the caches",
-                    "off: of the first free thrust from the exact solution of the same QP; of PIQP: whole cycle over"
-                    " that of PIQP native, by its own interface, in the same column",
+                    "off: of the first free thrust from the exact solution of the same QP; of riccati: whole cycle"
+                    " over that of riccati, in the same column",
                     machine_description.line(profile.machine),
                 ),
             ),
