@@ -143,8 +143,8 @@ def path_of(plan: Plan) -> Any:
     yaw, places = 0.5 * (math.pi / 2.0 - plan.states[:, 4]), plan.states[:, :2].tolist()
     turns = zip(np.sin(yaw).tolist(), np.cos(yaw).tolist(), strict=True)
     poses = [
-        {"header": header(t_ns, FRAME), "pose": _pose(*place, z=z, w=w)}
-        for t_ns, place, (z, w) in zip(plan.t_ns.tolist(), places, turns, strict=True)
+        {"header": header(t_ns, FRAME), "pose": _pose(north_m, east_m, z, w)}
+        for t_ns, (north_m, east_m), (z, w) in zip(plan.t_ns.tolist(), places, turns, strict=True)
     ]
     return make("nav_msgs/msg/Path", header=poses[0]["header"], poses=poses)
 
