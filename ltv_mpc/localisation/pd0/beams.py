@@ -161,13 +161,11 @@ def _good(ensemble: Ensemble) -> Array:
 
 def _over_ground(ensemble: Ensemble) -> Array:
     """Return the velocity of the instrument over ground, (3,), NED: minus the bottom's relative velocity."""
-    if ensemble.bottom is None:
+    if ensemble.bottom_mps is None:
         return np.full(3, np.nan)
-    settings, v = ensemble.settings, ensemble.bottom.velocity_mps
+    settings, v = ensemble.settings, ensemble.bottom_mps
     M = earth_matrix(ensemble.heading_rad, ensemble.pitch_rad, ensemble.roll_rad, upward=settings.upward)
     match settings.coordinates:
-        case Coordinates.EARTH if settings.tilts_used:
-            enu = v[:3]
         case Coordinates.EARTH | Coordinates.SHIP:
             enu = M @ (_as_computed(ensemble).T @ v[:3])
         case Coordinates.INSTRUMENT:

@@ -4,7 +4,7 @@ Frame   7F 7F, bytes without checksum (u16), spare, number of data types n (u8),
         reserved bytes, checksum (u16); all little-endian. A data type starts with its identity (u16).
 Types   fixed leader 0000, variable leader 0080, velocity 0100, correlation 0200, echo 0300, percent good 0400, bottom
         track 0600; other types are skipped. Both leaders and velocity are required.
-Units   velocities mm/s, -32768 if missing (NaN here); cells and bottom ranges cm; depth dm; pressure 10 Pa;
+Units   velocities mm/s, -32768 if missing (NaN here); cells cm; depth dm; pressure 10 Pa;
         angles 0.01 deg.
 Signs   as in the instrument: velocity TOWARDS the transducer is positive, in the coordinates of the EX byte.
         ``beams.py`` converts them.
@@ -83,14 +83,6 @@ class Settings(NamedTuple):
         return all(getattr(self, name) == getattr(other, name) for name in HEAD)
 
 
-class BottomTrack(NamedTuple):
-    """Bottom track, each (4,), in the coordinates of the ensemble; NaN if missing."""
-
-    range_m: Array  # perpendicular to the face, by beam
-    velocity_mps: Array
-    percent_good: Array
-
-
 class Ensemble(NamedTuple):
     """Decoded ensemble. Records that the file does not contain are None."""
 
@@ -103,12 +95,11 @@ class Ensemble(NamedTuple):
     pitch_rad: float  # of the tilt sensor, not a gimbal angle
     roll_rad: float
     depth_m: float
-    sound_speed_mps: float
     velocity_mps: Array  # (cells, 4)
     correlation: Array | None  # (cells, 4), counts
     echo: Array | None  # (cells, 4), counts of about 0.45 dB
     percent_good: Array | None  # (cells, 4)
-    bottom: BottomTrack | None
+    bottom_mps: Array | None  # (4,) of the bottom, in the coordinates of the ensemble; NaN if missing
 
 
 class DamagedEnsemble(ValueError):
@@ -145,12 +136,11 @@ def decode(frame: memoryview, offset: int) -> Ensemble:
         pitch_rad=pitch,
         roll_rad=roll,
         depth_m=_depth(leader),
-        sound_speed_mps=float(struct.unpack_from("<H", leader, 14)[0]),
         velocity_mps=_velocities(velocity, 2, BEAMS * settings.cells).reshape(settings.cells, BEAMS),
         correlation=_counts(records, 0x0200, settings.cells),
         echo=_counts(records, 0x0300, settings.cells),
         percent_good=_counts(records, 0x0400, settings.cells),
-        bottom=_bottom(records),
+        bottom_mps=_bottom(records),
     )
 
 
@@ -245,15 +235,6 @@ def _counts(records: dict[int, memoryview], identity: int, cells: int) -> Array 
     return raw.reshape(cells, BEAMS).astype(np.float64)
 
 
-def _bottom(records: dict[int, memoryview]) -> BottomTrack | None:
+def _bottom(records: dict[int, memoryview]) -> Array | None:
     record = records.get(0x0600)
-    if record is None or len(record) < 44:
-        return None
-    cm = np.frombuffer(record, dtype="<u2", count=BEAMS, offset=16).astype(np.float64)
-    if len(record) >= 81:
-        cm += 65536.0 * np.frombuffer(record, dtype=np.uint8, count=BEAMS, offset=77)
-    return BottomTrack(
-        range_m=np.where(cm > 0, cm / 100, np.nan),
-        velocity_mps=_velocities(record, 24, BEAMS),
-        percent_good=np.frombuffer(record, dtype=np.uint8, count=BEAMS, offset=40).astype(np.float64),
-    )
+    return None if record is None or len(record) < 44 else _velocities(record, 24, BEAMS)

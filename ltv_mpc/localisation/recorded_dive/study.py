@@ -100,6 +100,7 @@ def evaluate_track(
     duration_s = float(bottom_track.t_s[end] - bottom_track.t_s[start])
     error = track.position_m[end - start] - true_displacement
     P = track.position_covariance[end - start]
+    constant = None if velocity is None else float(np.hypot(*(velocity * duration_s - true_displacement)))
     return StartResult(
         start=start,
         depth_m=ensembles[start].depth_m,
@@ -108,9 +109,7 @@ def evaluate_track(
         error_m=float(np.hypot(*error)),
         sigma_m=float(np.sqrt(np.linalg.eigvalsh(P)[-1])),
         inside_3_sigma=bool(error @ np.linalg.solve(P, error) <= 9.0),
-        constant_velocity_error_m=(
-            None if velocity is None else float(np.hypot(*(velocity * duration_s - true_displacement)))
-        ),
+        constant_velocity_error_m=constant,
     )
 
 

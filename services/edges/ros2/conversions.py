@@ -140,15 +140,11 @@ def thrust_messages(thrust_N: Array, t_ns: int, settings: Settings) -> dict[str,
 
 def path_of(plan: Plan) -> Any:
     """Return the predicted positions and headings of a plan as nav_msgs/Path, at the depth 0."""
-    yaw = 0.5 * (math.pi / 2.0 - plan.states[:, 4])
+    yaw, places = 0.5 * (math.pi / 2.0 - plan.states[:, 4]), plan.states[:, :2].tolist()
+    turns = zip(np.sin(yaw).tolist(), np.cos(yaw).tolist(), strict=True)
     poses = [
-        {
-            "header": header(t_ns, FRAME),
-            "pose": {"position": {"x": east_m, "y": north_m}, "orientation": {"z": z, "w": w}},
-        }
-        for t_ns, (north_m, east_m), z, w in zip(
-            plan.t_ns.tolist(), plan.states[:, :2].tolist(), np.sin(yaw).tolist(), np.cos(yaw).tolist(), strict=True
-        )
+        {"header": header(t_ns, FRAME), "pose": _pose(north_m, east_m, z, w)}
+        for t_ns, (north_m, east_m), (z, w) in zip(plan.t_ns.tolist(), places, turns, strict=True)
     ]
     return make("nav_msgs/msg/Path", header=poses[0]["header"], poses=poses)
 
@@ -253,10 +249,12 @@ def zones_of(fence: FenceInForce) -> Any:
     return make("visualization_msgs/msg/MarkerArray", markers=markers)
 
 
+def _pose(north_m: float, east_m: float, z: float = 0.0, w: float = 1.0) -> dict[str, Any]:
+    return {"position": {"x": east_m, "y": north_m}, "orientation": {"z": z, "w": w}}
+
+
 def _cylinder(place_m: Sequence[float], radius_m: float) -> dict[str, Any]:
-    north_m, east_m = place_m
-    pose = {"position": {"x": east_m, "y": north_m}, "orientation": {"w": 1.0}}
-    return {"type": CYLINDER, "pose": pose, "scale": {"x": 2.0 * radius_m, "y": 2.0 * radius_m, "z": LINE_M}}
+    return {"type": CYLINDER, "pose": _pose(*place_m), "scale": {"x": 2.0 * radius_m, "y": 2.0 * radius_m, "z": LINE_M}}
 
 
 def _line(places_m: list[list[float]]) -> dict[str, Any]:

@@ -133,12 +133,11 @@ class Ros2Edge(Edge):
 
     def step(self, now_us: int) -> Iterable[Output]:
         """Return the thrusts, zero past the plan's end, what acts, and the replies that did not come in time."""
-        late = [(key, channel) for key, (channel, at_us) in self._requests.items() if now_us > at_us + REPLY_US]
-        outputs: list[Output] = [
-            _reply(channel, False, "no reply from the controller within 3 s") for _, channel in late
-        ]
-        for key, _ in late:
-            del self._requests[key]
+        outputs: list[Output] = []
+        for key, (channel, at_us) in [*self._requests.items()]:
+            if now_us > at_us + REPLY_US:
+                del self._requests[key]
+                outputs.append(_reply(channel, False, "no reply from the controller within 3 s"))
         t_ns = self.clock.read(now_us)
         thrust_N = self.plans.thrust_N(t_ns)
         if t_ns is not None and self.plans.has_plan:

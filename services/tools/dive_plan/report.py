@@ -98,19 +98,14 @@ def write(of: DivePlan, out: Path) -> None:
     shares = {name: 100.0 * share for name, share in of.budget.items() if share >= SHOWN_SHARE}
     gains = {"as planned": of.drift_m[0][-1], **of.gains_m}
     run = Series(f"run, {of.against.kind if of.against else ''}", "run", "t_s", "drift_m", palette.TRUTH)
+    colours = zip(names, cycle(palette.RUNS), strict=False)
     plots = (
         Plot(
             name="drift",
             title="Drift since submergence, one axis",
             y=Axis("standard deviation (m)"),
             group=AT_THE_END,
-            series=(
-                *(
-                    Series(name, name, "t_s", "drift_m", colour)
-                    for name, colour in zip(names, cycle(palette.RUNS), strict=False)
-                ),
-                run,
-            ),
+            series=(*(Series(name, name, "t_s", "drift_m", colour) for name, colour in colours), run),
             levels=(Level("limit", "limit_m", palette.LIMIT),),
         ),
         _by_row("budget", f"Error budget with {names[0]}", "share of the variance (%)", shares),

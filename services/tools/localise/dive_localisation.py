@@ -167,7 +167,7 @@ def localise(
         water=water,
         error=error,
         study=many,
-        notes=(*heads, *_notes(settings, dive, track, why), *_inconsistency(track, many)),
+        notes=(*heads, *_notes(settings, dive, track, many, why)),
         parameters=parameters,
     )
     return Outcome(result, dive, track, _truth(ground), constant_velocity(dive[:fixes]))
@@ -205,16 +205,6 @@ def _of_head(recording: Recording, head: str | None) -> tuple[Sequence[Ensemble]
         return heads[chosen], []
     note = f"two heads: {len(heads[chosen])} ensembles look {chosen} and are used, {len(heads[other])} look {other}"
     return heads[chosen], [f"{note} (--head {other})"]
-
-
-def _inconsistency(track: Track, many: StudyRow | None) -> list[str]:
-    """Return a note if the errors are larger than the filter's sigma says."""
-    if track.nis > MOST_NIS:
-        return [f"the filter is NOT consistent, its sigma is too small: NIS {track.nis:.1f} where 1 is expected"]
-    if many is not None and many.inside_3_sigma < LEAST_INSIDE:
-        share = f"{100 * many.inside_3_sigma:.0f} % of the starts are inside 3 sigma, where 99 % are expected"
-        return [f"the filter is NOT consistent, its sigma is too small: {share}"]
-    return []
 
 
 def _first(ensembles: Sequence[Ensemble], start_depth_m: float | None, source: str) -> int:
@@ -283,7 +273,10 @@ def _study(
     )
 
 
-def _notes(settings: Settings, dive: Sequence[BeamEnsemble], track: Track, why: str) -> list[str]:
+def _notes(
+    settings: Settings, dive: Sequence[BeamEnsemble], track: Track, many: StudyRow | None, why: str
+) -> list[str]:
+    inside, wrong = 1.0 if many is None else many.inside_3_sigma, "the filter is NOT consistent, its sigma is too small"
     setups, turned = len({e.settings.setup for e in dive}), settings.heading_alignment_rad or settings.heading_bias_rad
     tracks_bottom = any(np.isfinite(e.bottom_mps[:2]).all() for e in dive)
     notes = {
@@ -293,6 +286,9 @@ def _notes(settings: Settings, dive: Sequence[BeamEnsemble], track: Track, why: 
         "no bottom track in the dive: nothing to compare the track with": not tracks_bottom,
         "heading alignment or bias (EA, EB) is set: not applied, north is the north of the file's headings": turned,
         "no water cell could be used: the track follows the fixes only": track.cells_used == 0,
+        f"{wrong}: NIS {track.nis:.1f} where 1 is expected": track.nis > MOST_NIS,
+        f"{wrong}: {100 * inside:.0f} % of the starts are inside 3 sigma, where 99 % are expected": inside
+        < LEAST_INSIDE,
     }
     return [note for note, holds in notes.items() if holds]
 

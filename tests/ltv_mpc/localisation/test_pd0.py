@@ -208,8 +208,7 @@ def test_depth_is_of_the_pressure_where_there_is_one() -> None:
 def test_settings_time_and_counts_are_those_of_the_file() -> None:
     head = Head(frequency_kHz=300, upward=True, cells=7, cell_cm=150, first_cm=321, pings=45, coordinates=SHIP)
     counts = {name: RNG.integers(0, 101, (7, 4)).astype(float) for name in ("correlation", "echo", "percent_good")}
-    bottom = np.array([50.0, 60.0, 700.0, 1400.5])  # more than 16 bits of centimetres
-    more = {"bottom_beams_mps": np.zeros(4), "bottom_range_m": bottom, "spare": b"\x34\x12 what nobody knows"}
+    more = {"bottom_beams_mps": np.zeros(4), "spare": b"\x34\x12 what nobody knows"}
     ensemble = parse(written(head, still(head, 61.25, number=70_000, **counts, **more))).ensembles[0]
     s = ensemble.settings
     assert (s.frequency_kHz, s.upward, s.convex, s.cells, s.pings) == (300, True, True, 7, 45)
@@ -219,7 +218,7 @@ def test_settings_time_and_counts_are_those_of_the_file() -> None:
     assert ensemble.t_ns == 1_466_659_179_000_000_000 + 61_250_000_000  # 2016-06-23 05:19:39 UTC
     for name, expected in counts.items():
         np.testing.assert_array_equal(getattr(ensemble, name), expected)
-    np.testing.assert_allclose(ensemble.bottom.range_m, bottom)
+    np.testing.assert_allclose(ensemble.bottom_mps, 0.0)
 
 
 HEAD = Head(cells=4, coordinates=BEAM)
