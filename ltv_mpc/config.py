@@ -19,7 +19,7 @@ import msgspec
 import tomli_w
 
 from ltv_mpc import settings_schema
-from ltv_mpc.errors import ConfigError, format_value
+from ltv_mpc.errors import ConfigError, format_value, naming
 
 T = TypeVar("T")
 
@@ -206,13 +206,11 @@ def parse_json(text: str | bytes, source: str) -> dict[str, Any]:
     ConfigError
         If it is no JSON object, has a key twice in one object, or an integer of more than 64 bits.
     """
-    try:
+    with naming(source, "", "is not a JSON object: ", OverflowError, RecursionError):
         found = msgspec.json.decode(text, type=dict[str, Any])
         msgspec.msgpack.encode(found)  # raises for an integer of more than 64 bits
         json.loads(text, object_pairs_hook=_check_keys)
         return found
-    except (ValueError, OverflowError, RecursionError) as error:
-        raise ConfigError(source, "", f"is not a JSON object: {error}") from None
 
 
 def _check_keys(pairs: list[tuple[str, Any]]) -> None:

@@ -46,19 +46,21 @@ class SolverNotInstalled(ConfigError):
 
 
 @contextmanager
-def naming(source: str, field: str = "", problem: str = "") -> Iterator[None]:
+def naming(source: str, field: str = "", problem: str = "", *also: type[Exception]) -> Iterator[None]:
     """Turn each ``ValueError`` that is raised inside, which knows no file, into a ``ConfigError``.
 
     Parameters
     ----------
     source, field : as in ``ConfigError``.
     problem : text before that of the error.
+    also : other kinds of errors that are turned.
     """
+    kinds: tuple[type[Exception], ...] = (ValueError, *also)
     try:
         yield
     except ConfigError:
         raise
-    except ValueError as error:
+    except kinds as error:
         raise ConfigError(source, field, f"{problem}{error}") from None
 
 

@@ -18,7 +18,7 @@ import pymap3d
 from msgspec import Meta
 
 from ltv_mpc import config
-from ltv_mpc.errors import ConfigError
+from ltv_mpc.errors import ConfigError, naming
 from ltv_mpc.messages import Array, ZoneInForce
 from ltv_mpc.references.base import BaseReference
 from ltv_mpc.references.geodesy import Origin, Place, local
@@ -156,10 +156,8 @@ class Fence(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     def _local(self, place: Place, where: str) -> tuple[float, float]:
         if place.depth_m is not None:
             raise ValueError(f"{where}: depth_m is not used: a zone reaches from the surface to the bottom")
-        try:
+        with naming(where):
             return local(place, self.origin)
-        except ValueError as error:
-            raise ValueError(f"{where}: {error}") from None
 
 
 def ring_problem(vertices: Array) -> str:

@@ -16,6 +16,7 @@ MultiLineString of one line, cut at the antimeridian for example.
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import math
 import re
@@ -174,10 +175,9 @@ def check_crs(of: Any, where: str, source: str, notes: list[str]) -> None:
     crs = of.get("crs") if isinstance(of, dict) else None
     if crs is None:
         return
-    try:
+    name = str(crs)
+    with contextlib.suppress(TypeError, KeyError):
         name = str(crs["properties"]["name"])
-    except (TypeError, KeyError):
-        name = str(crs)
     off_m = CRS.get(name.rsplit(":", 1)[-1].upper())
     if off_m is None:
         problem = "must be CRS84 or EPSG:4326 (WGS 84): convert it, as with ogr2ogr -t_srs EPSG:4326"

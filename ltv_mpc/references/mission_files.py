@@ -242,10 +242,8 @@ def _gpx(text: str, source: str, notes: list[str]) -> Content:
         import gpxpy
     except ImportError:
         raise ConfigError(source, "", 'is GPX: install the extra "gpx", gpxpy') from None
-    try:
+    with naming(source, "", "is not valid GPX: ", gpxpy.gpx.GPXException):
         gpx = gpxpy.parse(text.partition("?>")[2] if text.startswith("<?xml") else text)  # it is no more as declared
-    except (gpxpy.gpx.GPXException, ValueError) as error:
-        raise ConfigError(source, "", f"is not valid GPX: {error}") from None
     found = [list(of.walk(only_points=True)) for of in list[Any]((*gpx.routes, *gpx.tracks))]
     paths = list(filter(None, found))
     empty, beside = len(found) - len(paths), len(gpx.waypoints) if paths else 0

@@ -74,19 +74,6 @@ class _Rows(NamedTuple):
             self.damaged.add(f"{message.time_boot_ms} ms: {refusal}")
 
 
-class _Damage(io.TextIOBase):
-    """Stream for what pymavlink prints of damaged places, some of them twice."""
-
-    def __init__(self, places: set[str]) -> None:
-        self._places = places
-
-    def write(self, text: str) -> int:
-        """Take a text or its end."""
-        if text.startswith(("Skipped", "Failed")):
-            self._places.add(text)
-        return len(text)
-
-
 def read(path: Path, vehicle: Vehicle) -> AutopilotLog:
     """Read a log. Raises ``ConfigError``."""
     source = f"log {path}"
@@ -94,11 +81,12 @@ def read(path: Path, vehicle: Vehicle) -> AutopilotLog:
         head = file.read(9)
     if (path.suffix.lower() == ".bin" and head[:3] != FMT) or (path.suffix.lower() == ".tlog" and head[8:] not in STX):
         raise ConfigError(source, "", "is no log of ArduPilot: it does not begin as one")
-    rows = _Rows([], [], {}, set())
+    rows, printed = _Rows([], [], {}, set()), io.StringIO()  # pymavlink prints damaged places, some of them twice
     try:
         navigation = Navigation(Accuracy(), dives=vehicle.can_dive)
-        with contextlib.redirect_stderr(_Damage(rows.damaged)), contextlib.redirect_stdout(_Damage(rows.damaged)):
+        with contextlib.redirect_stderr(printed), contextlib.redirect_stdout(printed):
             (_telemetry if path.suffix.lower() == ".tlog" else _data_flash)(path, navigation, rows)
+        rows.damaged.update(text for text in printed.getvalue().splitlines() if text.startswith(("Skipped", "Failed")))
     except ImportError:
         raise ConfigError(source, "", 'is of ArduPilot: install the extra "mavlink", pymavlink') from None
     except (OSError, ValueError, TypeError, AttributeError, LookupError, struct.error, RecursionError) as error:

@@ -58,8 +58,9 @@ def examine() -> list[Finding]:
             found.append(Finding(check.__name__, *check()))
         except Exception as error:  # any error: the other checks still run
             text = " ".join(str(error).split()) or type(error).__name__
-            remedy = "make clean && make setup"
-            found.append(Finding(check.__name__, Level.PROBLEM, f"cannot be checked: {text}", remedy))
+            found.append(
+                Finding(check.__name__, Level.PROBLEM, f"cannot be checked: {text}", "make clean && make setup")
+            )
     return found
 
 

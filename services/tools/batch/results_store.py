@@ -21,7 +21,7 @@ from typing import Any, BinaryIO
 import msgspec
 
 from ltv_mpc.config import open_file
-from ltv_mpc.errors import ConfigError
+from ltv_mpc.errors import ConfigError, naming
 from ltv_mpc.settings_schema import flat
 from services.run import folder as run_folder
 
@@ -87,15 +87,14 @@ def open_store(folder: Path, settings: Mapping[str, Any], *, force: bool = False
         yield ResultsStore(path, file, {key for key, _ in results})
 
 
+DAMAGE = TypeError, KeyError, RecursionError
+"""Errors that a damaged line has, besides ``ValueError``."""
+
+
 def read(path: Path) -> tuple[dict[str, Any], Iterator[tuple[str, Any]]]:
     """Read a store's settings and its results, also while another process writes it. Raises ``ConfigError``."""
-    try:
-        with open_file(path, what="results") as file:
-            settings: dict[str, Any] = json.loads(file.readline(MAX_LINE))["settings"]
-    except ConfigError:
-        raise
-    except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
-        raise ConfigError(f"results {path}", "", f"cannot be read: {error}") from None
+    with open_file(path, what="results") as file, naming(f"results {path}", "", "cannot be read: ", OSError, *DAMAGE):
+        settings: dict[str, Any] = json.loads(file.readline(MAX_LINE))["settings"]
     return settings, _results(path)
 
 
@@ -104,11 +103,10 @@ def _results(path: Path) -> Iterator[tuple[str, Any]]:
         for number, line in enumerate(islice(iter(partial(file.readline, MAX_LINE), b""), 1, None), 2):
             if not line.endswith(b"\n"):  # cut, or being written
                 return
-            try:
+            with naming(f"results {path}", f"line {number}", "is damaged: ", *DAMAGE):
                 one = json.loads(line)
-                yield one["key"], one["result"]
-            except (ValueError, TypeError, KeyError, RecursionError) as error:
-                raise ConfigError(f"results {path}", f"line {number}", f"is damaged: {error}") from None
+                key, result = one["key"], one["result"]
+            yield key, result
 
 
 def _line(value: object) -> bytes:
