@@ -125,14 +125,6 @@ def test_velocity_over_ground_is_that_through_water_plus_the_current_at_depth():
         assert x.velocity_mps == pytest.approx(tuple(over_ground))
 
 
-@pytest.mark.parametrize("change", [0.0, 1e-3])
-def test_position_is_the_integral_of_velocity(change):
-    said = dive(f"water.change_mps_per_rts={change}", until_s=20, thrust=[[30, 20, 30], [60, 50, 60]])
-    position, velocity = np.array([x.position_m for x in said]), np.array([x.velocity_mps for x in said])
-    way = 0.005 * (velocity[1:] + velocity[:-1]).sum(axis=0)
-    np.testing.assert_allclose(position[-1] - position[0], way, atol=1e-5)
-
-
 def test_a_weaker_plant_is_weaker_in_truth_and_not_in_what_its_actuators_say():
     push = {0: [arrival(0, [[0, 0, 0], *[[20, 20, 0]] * 20])]}
     truths, reports = run(plant_of("plant.mismatch.thrust=0.7"), 4 * S, push)
@@ -147,12 +139,6 @@ def test_a_stronger_plant_delivers_no_more_than_its_limits():
     assert delivered.max(axis=0) == pytest.approx([thruster.max_N for thruster in VEHICLE.thrusters])
     # The motion too: the acceleration at the surface is that of the delivered thrust.
     assert strong[-1].water_velocity_mps[2] < 1.04 * usual[-1].water_velocity_mps[2]
-
-
-def test_the_descent_sinks_at_a_fifth_of_a_metre_a_second():
-    depth = {x.t_ns / S: x.position_m[2] for x in dive(until_s=40, thrust=[[0, 0, 30], [0, 0, 60], [0, 0, 62.5]])}
-    assert depth[20] == pytest.approx(0.2 * (20 - 2), abs=0.2)  # the start costs two seconds of it
-    assert depth[40] - depth[20] == pytest.approx(0.2 * 20, abs=0.02)
 
 
 def disturbed(

@@ -14,7 +14,6 @@ from ltv_mpc.control.mode import NO_DEPTH
 from ltv_mpc.control.problem_data import Constants
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.vertical import VerticalPlan, follow_depth
-from ltv_mpc.errors import SolverNotInstalled
 from ltv_mpc.messages import Health
 from ltv_mpc.safety.plan_gate import TOLERANCE_N
 from tests.ltv_mpc.control.flights import descend, fly, rough_current
@@ -100,11 +99,6 @@ def test_a_hold_drives_no_thruster_before_its_start_and_then_holds_its_position(
     after = controller.plan(msgspec.structs.replace(later, velocity_north_mps=0.1, velocity_down_mps=0.05))
     assert after.reference_m == pytest.approx((4.0, 1.0))  # extrapolated back to the start
     assert after.thrust_N[-1, 2] > 30.0
-
-
-def test_an_unknown_solver_is_rejected_by_name():
-    with pytest.raises(SolverNotInstalled, match='solver = "gurobbi"'):
-        Controller(PAPER, POINT, ControllerConfig(solver="gurobbi"))
 
 
 # --- depth -----------------------------------------------------------------------------------------------------------

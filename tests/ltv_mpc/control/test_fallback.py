@@ -259,25 +259,16 @@ def test_a_solver_recovers_one_cycle_after_a_problem_with_nan(solver):
 
 # --- implausible and old estimates -----------------------------------------------------------------------------------
 
-BAD = [
-    {"north_m": math.nan},
-    {"velocity_north_mps": 40.0},
-    {"north_m": 5000.0},
-]
 
-
-@pytest.mark.parametrize("bad", BAD)
-def test_an_implausible_estimate_is_replaced_by_the_last_plausible_one(bad):
+def test_an_implausible_estimate_is_replaced_by_the_last_plausible_one():
     controller = Controller(SURFACES, POINT)
     estimate, before = fly(controller, moving(), 5)
     for _ in range(3):
-        plan = controller.plan(msgspec.structs.replace(estimate, **bad))
+        plan = controller.plan(msgspec.structs.replace(estimate, velocity_north_mps=40.0))
         check(plan, before)
         assert plan.origin is SOLVED
         assert plan.estimate_t_ns < estimate.t_ns
         estimate, before = advance(SURFACES, estimate, plan, duration_s=0.3), plan
-        if "north_m" in bad:
-            bad = {"north_m": -bad["north_m"]}
     assert sum(controller.estimate_gate.rejected.values()) == 3
     plan = controller.plan(estimate)
     assert plan.origin is SOLVED

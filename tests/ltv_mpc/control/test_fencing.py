@@ -136,8 +136,7 @@ def test_between_walls_that_are_too_near_for_their_margins_the_hull_stays_free()
     """There is 0.3 m to either side of the hull: with penalties that cancel, the current led it 0.2 m into one."""
     corners = ((-5.0, 0.0), (15.0, 0.0), (15.0, 3.0), (-5.0, 3.0))
     sides = ([(n, side * (e + HULL_M + 0.3)) for n, e in corners] for side in (-1.0, 1.0))
-    fence, of = msgspec.structs.replace(walls(*sides), margin_m=1.0), controller(Point(north_m=8.0, east_m=0.0))
-    of.set_fence(fence)
+    fence, of = fenced(msgspec.structs.replace(walls(*sides), margin_m=1.0), Point(north_m=8.0, east_m=0.0))
     way, plans = flown(of, 120, (0.0, 0.08))
     assert hull_clearance(fence, way) > 0.03
     assert all(plan.solve.status is SolveStatus.SOLVED for plan in plans)
@@ -261,8 +260,7 @@ def test_a_path_through_a_zone_is_followed_on_the_other_side(corridor_m: float |
 
 
 def test_a_point_in_a_zone_becomes_the_nearest_allowed_point() -> None:
-    of = controller()
-    of.set_fence(disc(GOAL[0], GOAL[1] + 0.5, 3.0))
+    _, of = fenced(disc(GOAL[0], GOAL[1] + 0.5, 3.0))
     way, plans = flown(of, 180)
     wanted = (20.0, 0.5 - (3.0 + 0.5 + HULL_M))
     assert plans[-1].reference_m == pytest.approx(wanted, abs=1e-4)
@@ -354,8 +352,8 @@ def test_margins_grow_by_what_the_model_s_error_carries_the_vehicle_until_it_sto
 
 def test_the_vehicle_stops_between_zones_whose_margins_meet_while_estimates_are_late() -> None:
     side = HULL_M + 0.55  # half the distance between two walls
-    of = controller(line(24.0))
-    of.set_fence(walls(*([(-5.0, e), (30.0, e), (30.0, e + 3.0), (-5.0, e + 3.0)] for e in (side, -side - 3.0))))
+    sides = ([(-5.0, e), (30.0, e), (30.0, e + 3.0), (-5.0, e + 3.0)] for e in (side, -side - 3.0))
+    _, of = fenced(walls(*sides), line(24.0))
     estimate = msgspec.structs.replace(drifting(), covariance=np.diag([0.18**2] * 2 + [1e-4] * 4))
     assert of.plan(estimate).origin is PlanOrigin.SOLVED
     late = of.plan(estimate, t_ns=estimate.t_ns + 3_000_000_000)

@@ -97,13 +97,6 @@ def node_after(state: ControllerState, **settings: object) -> tuple[ControllerNo
     return node, plan
 
 
-def test_a_restored_node_continues_with_the_share_and_tells_it():
-    node, plan = node_after(ControllerState(t_ns=0, thrust_shares=(0.6, 1.0)))
-    assert plan.health is Health.DEGRADED
-    assert plan.health_why == "port thruster weak: box reduced to 37.5 N"
-    assert node.health(0) == (Health.DEGRADED, plan.health_why)
-
-
 @pytest.mark.parametrize(("reduces", "shares"), [(True, (0.6, 1.0)), (False, (1.0, 1.0))])
 def test_a_node_plans_with_the_share_unless_the_settings_leave_it_at_the_alarm(reduces, shares):
     state = ControllerState(t_ns=0, thrust_shares=(0.6, 1.0), authority=Authority.CONTROLLER)

@@ -290,8 +290,7 @@ def test_a_plan_is_in_force_from_its_first_knot_and_the_next_takes_over_at_its_o
     sent.add(plan_of(0, [[0, 0, 0], [30, -30, 10], [60, -60, 20]]))
     sent.add(plan_of(150_000_000, [[15, -15, 5], [0, 0, 0], [0, 0, 0]]))
     at = sent.at(np.array([75_000_000, 150_000_000, 300_000_000, 450_000_000]))
-    np.testing.assert_allclose(at[:, 0], [7.5, 15.0, 7.5, 0.0], atol=1e-6)
-    np.testing.assert_allclose(at[:, 1], [-7.5, -15.0, -7.5, 0.0], atol=1e-6)
+    np.testing.assert_allclose(at[:, :2].T, [[7.5, 15.0, 7.5, 0.0], [-7.5, -15.0, -7.5, 0.0]], atol=1e-6)
 
 
 def test_after_the_last_knot_every_thruster_ramps_to_rest_at_its_own_slew_limit():
@@ -300,9 +299,7 @@ def test_after_the_last_knot_every_thruster_ramps_to_rest_at_its_own_slew_limit(
     sent.add(plan_of(0, [[0, 0, 0], [20, -10, 30]]))
     end = 300_000_000
     at = sent.at(np.array([end, end + 100_000_000, end + 200_000_000, end + 400_000_000, end + 2 * S]))
-    np.testing.assert_allclose(at[:, 0], [20, 10, 0, 0, 0], atol=1e-6)
-    np.testing.assert_allclose(at[:, 1], [-10, 0, 0, 0, 0], atol=1e-6)
-    np.testing.assert_allclose(at[:, 2], [30, 20, 10, -10, -10], atol=1e-6)
+    np.testing.assert_allclose(at.T, [[20, 10, 0, 0, 0], [-10, 0, 0, 0, 0], [30, 20, 10, -10, -10]], atol=1e-6)
 
 
 @given(
@@ -344,9 +341,7 @@ def test_from_a_reported_command_the_plan_is_approached_at_the_slew_limit():
     sent.add(plan_of(0, np.full((10, 3), 40.0)))
     sent.correct(1_000_000_000, (10.0, 40.0, 62.5))
     at = sent.at(np.array([1_000_000_000, 1_200_000_000, 1_300_000_000, 2_000_000_000]))
-    np.testing.assert_allclose(at[:, 0], [10.0, 30.0, 40.0, 40.0], atol=0.02)
-    np.testing.assert_allclose(at[:, 1], 40.0, atol=0.02)
-    np.testing.assert_allclose(at[:, 2], [62.5, 42.5, 40.0, 40.0], atol=0.02)
+    np.testing.assert_allclose(at.T, [[10, 30, 40, 40], [40, 40, 40, 40], [62.5, 42.5, 40, 40]], atol=0.02)
 
 
 @pytest.mark.parametrize("thruster", range(3))
@@ -367,5 +362,4 @@ def test_without_a_plan_a_reported_command_ramps_to_rest():
     sent = SentCommands(PAPER)
     sent.correct(0, (50.0, -50.0, 20.0))
     at = sent.at(np.array([0, 250_000_000, 500_000_000, S]))
-    np.testing.assert_allclose(at[:, 0], [50.0, 25.0, 0.0, 0.0], atol=0.02)
-    np.testing.assert_allclose(at[:, 1], [-50.0, -25.0, 0.0, 0.0], atol=0.02)
+    np.testing.assert_allclose(at[:, :2].T, [[50.0, 25.0, 0.0, 0.0], [-50.0, -25.0, 0.0, 0.0]], atol=0.02)

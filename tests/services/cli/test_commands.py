@@ -68,19 +68,12 @@ def test_an_option_wins_over_set_and_set_over_the_file(tmp_path: Path, monkeypat
     assert "perfect_state = true" in written
 
 
-def test_json_has_stdout_to_itself(tmp_path, monkeypatch, capsys) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert cli("sim descent --lockstep --duration-s 0.3 --json --perfect-state --out r") == 0
-    assert json.loads(capsys.readouterr().out) == json.loads(Path("r/summary.json").read_text())
-
-
-def test_a_folder_that_is_not_empty_is_written_into_with_force_only(tmp_path, monkeypatch) -> None:
+def test_json_has_stdout_to_itself_and_force_writes_into_a_folder_beside_what_is_there(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     Path("r").mkdir()
     Path("r/mine.txt").write_text("keep")
-    line = "sim descent --lockstep --duration-s 0.3 --perfect-state --out r"
-    assert cli(line) == 2
-    assert cli(f"{line} --force") == 0
+    assert cli("sim descent --lockstep --duration-s 0.3 --json --perfect-state --out r --force") == 0
+    assert json.loads(capsys.readouterr().out) == json.loads(Path("r/summary.json").read_text())
     assert Path("r/mine.txt").read_text() == "keep"
 
 

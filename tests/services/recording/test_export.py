@@ -12,7 +12,6 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import AdcpPing, Applied, Estimate, ImuSamples, Message, Plan
 from services.bus.topics import key_of
 from services.bus.wire import Header, to_map
@@ -111,11 +110,6 @@ def test_a_list_of_changing_length_is_one_column_json_in_csv_and_a_list_in_parqu
     table = pq.read_table(tmp_path / "sensor-adcp.parquet")
     assert table["range_m"].to_pylist() == [[1.0, 2.0], [1.0, 2.0, 3.0]]
     assert table["beam_velocity_mps"].to_pylist()[0] == [[None, None]] * 4
-
-
-def test_a_recording_without_a_message_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"run\.mcap: holds no message"):
-        exported(tmp_path, "csv")
 
 
 def test_what_is_null_in_one_message_and_there_in_another_is_an_empty_cell(tmp_path: Path) -> None:

@@ -53,7 +53,6 @@ def test_with_other_settings_it_says_what_would_have_changed(locked_run, tmp_pat
 @pytest.mark.parametrize(
     ("words", "wrong"),
     [
-        (["nowhere"], "RUN nowhere: no such folder or file"),
         (["{run}", "--with", "{run}/scenario.toml"], "its keys fit none of them"),
         (
             ["{run}", "--with", "{run}/config/controller.toml", "--node", "estimator"],

@@ -12,7 +12,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from ltv_mpc.messages import AdcpPing, Estimate, ImuSamples, StepRecord
+from ltv_mpc.messages import AdcpPing, Estimate, ImuSamples
 from services.cli.app import run
 from services.recording.loss_accounting import LossAccounting
 from services.recording.reader import Recording
@@ -60,18 +60,6 @@ def test_messages_are_in_order_of_time_without_a_gap_and_all_are_counted(recorde
     assert summary.messages.published == losses.published == len(times)
 
 
-def test_a_step_is_on_record_before_its_outputs(recorded: tuple[RunConfig, RunFolder, Summary]) -> None:
-    _, place, _ = recorded
-    at: dict[str, int] = {}
-    for message in Recording(place.recording):
-        if message.kind is StepRecord:
-            at[message.plain["node"]] = message.t_ns
-        elif message.key == "world/truth":
-            assert at["plant"] == message.t_ns
-        elif message.key == "plan":
-            assert at["controller"] == message.plain["cycle_t_ns"] == message.t_ns - 710_000_000
-
-
 def test_the_summary_on_disk_is_the_one_returned_and_says_what_was_asked_for(recorded) -> None:
     _, place, summary = recorded
     assert msgspec.json.decode((place.path / "summary.json").read_bytes(), type=Summary) == summary
@@ -91,11 +79,6 @@ def test_what_nobody_reads_is_measured_for_a_recording_alone_and_changes_nothing
     summary, alone = lockstep_run.run(here, place), lockstep_run.run(here)
     assert {ImuSamples, AdcpPing} <= {message.kind for message in Recording(place.recording)}
     assert msgspec.structs.replace(alone, messages=summary.messages) == summary
-
-
-def test_a_run_whose_end_is_not_on_the_plants_grid_is_complete_all_the_same() -> None:
-    summary = lockstep_run.run(run_config("run.duration_s=1.234", "run.perfect_state=true"))
-    assert summary.duration_s == 1.234
 
 
 def test_with_known_state_there_is_no_estimator_and_no_localisation_error() -> None:

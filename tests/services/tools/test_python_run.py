@@ -10,12 +10,13 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from ltv_mpc import Limit, Motion, Run, simulate, solve_qp
+from ltv_mpc import Run, simulate, solve_qp
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.messages import Array, Estimate, SolveStatus
+from ltv_mpc.messages import Estimate, SolveStatus
 from services.reporting.plots import recorded
 from services.reporting.run_summary_text import verdict
 from services.tools.python_run import Table
+from tests.ltv_mpc.control.ocp.test_extension import TotalThrust
 
 SHORT = {"seed": 3, "duration_s": 3.0}
 
@@ -96,13 +97,6 @@ def test_each_plan_has_its_qp_with_the_names_of_its_rows(run: Run) -> None:
     first, second = (qp.qp.q for qp, _ in solved[-2:] if qp is not None)
     assert not np.array_equal(first, second)
     assert "slew of port in stage 1" in {row.name for qp, _ in solved if qp is not None for row in qp.rows}
-
-
-class TotalThrust(Limit):
-    low, high, unit = (-20.0,), (20.0,), (62.5,)
-
-    def values(self, motion: Motion) -> Array:
-        return motion.states[:, 8:10].sum(axis=1, keepdims=True)
 
 
 def test_a_limit_of_one_s_own_bounds_the_plans() -> None:

@@ -159,16 +159,6 @@ def test_a_vehicle_at_rest_above_a_bed_finds_it_and_loses_the_cells_beyond():
     assert all(np.isnan(m.beam_velocity_mps).all() for m in of(BottomTrack, suite, rest))
 
 
-@pytest.mark.parametrize("surface_s", [1, 30])
-def test_a_surface_phase_of_n_seconds_has_exactly_n_fixes_of_carrier_phase(surface_s):
-    world = PAPER, truths(-surface_s * S, 3 * S), scenario(f"run.surface_time_s={surface_s}")
-    fixes = of(TdcpFix, *world)
-    assert len(fixes) == surface_s
-    assert fixes[-1].t_ns == 0
-    assert [f.t_ns - f.from_t_ns for f in fixes] == [S] * len(fixes)
-    assert [f.t_ns for f in of(GnssFix, *world)] == list(range(-surface_s * S, 1, S))
-
-
 def test_sample_times_are_whole_multiples_of_each_period():
     messages = said(PAPER, truths(until_ns=10 * S))
     assert {at % (50 * MS) for at, x in messages if isinstance(x, ImuSample)} == {0}

@@ -281,10 +281,3 @@ def test_damage_is_said_with_its_place(tmp_path: Path, capsys: pytest.CaptureFix
     assert "10 ensembles" in out
     assert f"byte {len(data) // 12 * 3}: {len(data) // 12} bytes: the ensemble at byte" in out
     assert "in 2 places" in out
-
-
-def test_what_is_no_dive_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="no valid ensemble"):
-        localise(written_to(tmp_path, b"no dive at all"))
-    with pytest.raises(ConfigError, match="no such file"):
-        localise(tmp_path / "missing.PD0")
