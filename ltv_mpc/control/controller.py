@@ -458,9 +458,9 @@ class Controller:
 
         The decision uses the newest plausible estimate, corrected by the disturbance observer.
         """
-        believed, check = self.estimate_gate.filter.health, self.actuator_check
+        failed, check = self.estimate_gate.filter.failed, self.actuator_check
         estimate = self.estimate_gate.select(newest)
-        if self.estimate_gate.filter.health != believed:
+        if self.estimate_gate.filter.failed != failed:
             self._restart_observer()
         given = self.estimate_gate.accepted
         check.overridden = override is not None

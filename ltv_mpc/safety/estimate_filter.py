@@ -45,8 +45,13 @@ class EstimateFilter:
         self._heading_rad = 0.0  # unwrapped
 
     @property
+    def failed(self) -> tuple[bool, bool]:
+        """Whether the velocity is derived, and the yaw rate."""
+        return self.velocity.failed, self.yaw_rate.failed
+
+    @property
     def health(self) -> HealthState:
-        """Degraded while a rate is derived."""
+        """Degraded while a rate is derived, or a value stands still."""
         found = []
         for check, rates, values in (
             (self.velocity, "velocities", "positions"),

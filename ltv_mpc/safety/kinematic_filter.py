@@ -77,11 +77,7 @@ class KinematicFilter:
         self._largest, self._rate_walk, self._clean = largest, AGILITY * acceleration, clean
         self._last: tuple[int, Array] | None = None  # time (ns) and rate of the last estimate
         self._changes: deque[tuple[float, Array, Array]] = deque(maxlen=WINDOW)  # time (s), change of the value, i
-        self._since, self._way, self._seconds = (
-            np.empty(0),
-            np.empty(0),
-            0.0,
-        )  # the last change: value, way and time since
+        self._since, self._way, self._seconds = np.empty(0), np.empty(0), 0.0  # last change: value; way, time since it
         self._agreed = 0
         self._x: Array | None = None  # filtered value; None: as it is given
         self._w, self._P = np.empty(0), np.zeros((2, 2))
@@ -116,7 +112,7 @@ class KinematicFilter:
                 self._judge(x, sd)
         elif not changed.any() and self._way.any():  # repeated: moved on by its rate
             x = x + self._way
-        self.stands = self._seconds > STANDS_S and float(np.hypot.reduce(self._way)) > self._largest
+        self.stands = self._seconds > STANDS_S and _size(self._way) > self._largest
         return x if self._x is None else self._x, self._w if self.failed else w
 
     def _judge(self, x: Array, sd: Pair) -> None:
@@ -124,12 +120,12 @@ class KinematicFilter:
         times, changes, i = (np.array(column) for column in zip(*self._changes, strict=True))
         seconds, moved = float(times.sum()), changes.sum(axis=0)
         n = math.sqrt(float(np.square(np.diff(i, axis=0)).sum()) / (6.0 * (len(i) - 1)))
-        least, beyond = SHARE * self._largest * seconds, float(np.hypot.reduce(i.sum(axis=0)))
+        least, beyond = SHARE * self._largest * seconds, _size(i.sum(axis=0))
         if beyond > max(least, NOISES * n, SIGMAS * (sd[0] + sd[1] * seconds)):
             if not self.failed:
                 self._x, self._w, self._P = None, moved / seconds, np.diag([0.0, self._largest**2])
             self.failed, self._agreed = True, 0
-        elif np.hypot.reduce(moved) > least:
+        elif _size(moved) > least:
             self._agreed += 1
             self.failed = self.failed and self._agreed < AGREED
         if self.failed:
@@ -160,6 +156,10 @@ class KinematicFilter:
         gain = self._P[:, 0] / (self._P[0, 0] + variance)
         self._x, self._w = self._x + gain[0] * innovation, self._w + gain[1] * innovation
         self._P = self._P - np.outer(gain, self._P[0])
+
+
+def _size(vector: Array) -> float:
+    return math.sqrt(float(vector @ vector))
 
 
 def _median(values: Array) -> float:

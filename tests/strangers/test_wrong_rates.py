@@ -64,3 +64,18 @@ def test_a_stranger_holds_its_point_with_rates_that_are_not_those_of_its_motion(
     kind = "yaw rates of the estimates" if "yaw" in slip else "velocities of the estimates"
     assert next(t for t, why in pilot.said if kind in why) < 10.0
     assert not math.isinf(found.arrival_s)
+
+
+def test_positions_that_come_each_5_s_are_moved_on_and_nothing_that_was_learned_is_forgotten():
+    seen: list[Estimate] = []
+
+    def each_5_s(e: Estimate) -> dict[str, float]:
+        if not seen or e.t_ns - seen[-1].t_ns >= 5_000_000_000:
+            seen.append(e)
+        return {"north_m": seen[-1].north_m, "east_m": seen[-1].east_m}
+
+    pilot, conditions = Slipped("light_boat", each_5_s), Conditions(current_mps=CURRENT_MPS, reports_s=0.0)
+    observer = pilot.controller.observer
+    flight = fly("light_boat", pilot, conditions, Start.drawn(1, 0.3), duration_s=40.0)
+    assert flight.distance_m((4.0, 3.0), 20.0, 40.0).max() < 0.5
+    assert pilot.controller.observer is observer

@@ -129,6 +129,17 @@ def test_a_value_that_is_repeated_moves_on_by_its_rate_and_stands_still_after_3_
     assert not check.stands
 
 
+@pytest.mark.parametrize("sense", [-1.0, 1.0])
+def test_a_yaw_rate_fails_and_a_heading_stands_still_to_either_side(sense):
+    t = PERIOD_S * np.arange(60)
+    heading, rate = sense * 0.5 * t[:, None], np.full((60, 1), sense * 0.5)
+    assert checked((t * 1e9).astype(int), heading, 0.0 * rate)[0].failed
+    standing = KinematicFilter(1.0, 1.0)
+    for t_ns in (t * 1e9).astype(int).tolist():
+        standing.update(t_ns, heading[0], rate[0], (0.0, 0.0))
+    assert standing.stands
+
+
 def test_noise_of_a_yaw_rate_and_an_angle_that_is_unwrapped_are_no_failure():
     rng = np.random.default_rng(1)
     t = PERIOD_S * np.arange(400)
