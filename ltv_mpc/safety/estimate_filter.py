@@ -46,7 +46,7 @@ class EstimateFilter:
 
     @property
     def failed(self) -> tuple[bool, bool]:
-        """Whether the velocity is derived, and the yaw rate."""
+        """True for the velocity and for the yaw rate while each is derived."""
         return self.velocity.failed, self.yaw_rate.failed
 
     @property
