@@ -471,13 +471,14 @@ class Controller:
             self._vertical.depth_limits.update(estimate)
             if check.learns:
                 self.vehicle_file_check.add(given)
-            late_ns, were_late = round(self.vehicle_file_check.late_s * 1e9), self.vehicle_file_check.stamps_are_late
-            estimate = msgspec.structs.replace(estimate, t_ns=estimate.t_ns - late_ns) if late_ns else estimate
+            late_s = self.vehicle_file_check.late_s
+            if late_s:
+                estimate = msgspec.structs.replace(estimate, t_ns=estimate.t_ns - round(late_s * 1e9))
             estimate = self.observer.correct(estimate, self.prediction, learns=check.learns)
             self.prediction.coefficients[:] = self.observer.coefficients
             other = self.observer.in_waves or self.estimate_gate.filter.health is not NOMINAL
             self.vehicle_file_check.update(given.t_ns, bounded=self.observer.is_bounded, other_cause=other)
-            if self.vehicle_file_check.stamps_are_late is not were_late:
+            if bool(self.vehicle_file_check.late_s) is not bool(late_s):
                 self._restart_observer(self.vehicle_file_check.fit.of_observer)
         own = self.estimate_gate.health(now_ns)
         if estimate is not None and own.health is Health.DEGRADED:

@@ -17,15 +17,7 @@ from typing import TypeAlias
 import numpy as np
 
 from ltv_mpc.messages import Array
-from ltv_mpc.safety.motion_fit import (
-    HEADING,
-    PROFILE,
-    SIZE,
-    VELOCITY,
-    MotionFit,
-    Record,
-    Segments,
-)
+from ltv_mpc.safety.motion_fit import HEADING, PROFILE, SIZE, VELOCITY, MotionFit, Record, Segments
 
 
 def _swap_thrusters(record: Record) -> None:
@@ -95,7 +87,7 @@ class SlipTest:
             return
         least = FOUND_NATS + FOUND_SHARE * 3.0 * float(segments.worth.sum())
         for slip in {names[self._tests % len(names)], self.found} & set(names):
-            evidence = self._by_model(slip, segments)
+            evidence = self._evidence_of(slip, segments)
             self._evidence.pop(slip, None)
             if evidence > least:
                 self._evidence[slip] = evidence
@@ -113,7 +105,7 @@ class SlipTest:
         left, moved = (segments.noise(fit.misfit(fit.x, of, segments), fit.floor)[::2, 0] for of in (given, without))
         return not ((moved > MOVES * fit.floor[::2]) & (left > ANSWERED * moved)).any()
 
-    def _by_model(self, slip: str, segments: Segments) -> float:
+    def _evidence_of(self, slip: str, segments: Segments) -> float:
         """Return by how much the least J of the record without a slip is below that of the record as it is (nats)."""
         fit, undone = self._fit, _copy(self._fit.record)
         SLIPS[slip](undone)
