@@ -38,7 +38,6 @@ from ltv_mpc.messages import (
 )
 from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.references import Reference
-from ltv_mpc.safety import thrust_loss_detector
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.options import BusOptions
 from services.bus.topics import BY_TYPE, Topic
@@ -217,7 +216,6 @@ def warm_up(vehicle: Vehicle, reference: Reference, config: ControllerConfig) ->
         node.step(t_ns, [ReceivedMessage(message, 1, k, t_ns) for message in messages])
     for missed_s in (2.0, 12.0, 30.0):  # prediction, hold, failsafe
         node.step(t_ns + round(missed_s * 1e9), [])
-    thrust_loss_detector.warm_up()
 
 
 def warm_up_solver(vehicle: Vehicle, config: ResolvedConfig) -> None:
