@@ -93,7 +93,7 @@ class Plant:
         self._t_ns: int | None = None
         self._disturbance: Disturbance | None = None
         self._gate = PlanGate(vehicle)
-        self._receipt: tuple[Plan, ReceivedMessage, PlanVerdict] | None = None  # of the plan accepted last
+        self._receipt: tuple[Plan, ReceivedMessage] | None = None  # of the plan accepted last
 
     def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
         """Simulate to ``t_ns`` in steps of ``STEP_NS``, each with the messages that have arrived by its end.
@@ -128,7 +128,7 @@ class Plant:
                 self._gate.command_at(max(at_ns, 0))
                 verdict = self._gate.offer(received.message, received.epoch, received.sequence, received.received_t_ns)
                 if verdict in (PlanVerdict.ACCEPTED, PlanVerdict.LATE):
-                    self._receipt = received.message, received, verdict
+                    self._receipt = received.message, received
         observed = self._move([from_ns, *times_ns]) if t_ns > from_ns else self._observe(t_ns)
         for received in inbox:
             if isinstance(received.message, Disturbance):  # it acts from the next step on
@@ -211,7 +211,7 @@ class Plant:
     def _report(self, t_ns: int) -> Applied:
         slew = _triple(self._slew)
         self._slew = np.zeros(3)
-        plan, received, verdict = self._receipt or (None, None, PlanVerdict.ACCEPTED)
+        plan, received = self._receipt or (None, None)
         return Applied(
             t_ns=t_ns,
             thrust_N=_triple(self._vehicle.F),
@@ -221,7 +221,6 @@ class Plant:
             plan_sequence=-1 if received is None else received.sequence,
             plan_cycle_t_ns=0 if plan is None else plan.cycle_t_ns,
             plan_received_t_ns=0 if received is None else received.received_t_ns,
-            plan_late=verdict is PlanVerdict.LATE,
             plans_late=self._gate.plans_late,
             plans_rejected=self._gate.plans_rejected,
             health=self._gate.health(t_ns),

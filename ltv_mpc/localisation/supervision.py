@@ -165,7 +165,6 @@ class Supervision:
             status=status,
             why=why,
             restarts=self.reinitialisation.count,
-            water_walk_mps_per_rts=walk,
             sensors=sensors,
             innovations=self._samples.take(),
         )

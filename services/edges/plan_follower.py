@@ -33,10 +33,8 @@ class PlanFollower:
         """Epoch and sequence of the newest plan; 0 and -1 before the first."""
         self.received_t_ns = 0
         """Vehicle time of its arrival; 0 before the first."""
-        self.is_late = False
-        """It arrived after its first knot."""
         self.late = 0
-        """Number of late plans."""
+        """Number of plans that arrived after their first knot."""
 
     def follow(self, plan: Plan, t_ns: int | None = None, identity: tuple[int, int] = (0, -1)) -> None:
         """Take a plan that arrived at vehicle time ``t_ns`` (None: unknown), of an epoch and a sequence."""
@@ -47,8 +45,7 @@ class PlanFollower:
             self._plans.pop()
         self._plans.append(plan)
         self.identity, self.received_t_ns = identity if t_ns is not None else (0, -1), t_ns or 0
-        self.is_late = self.received_t_ns > begins_ns
-        self.late += self.is_late
+        self.late += self.received_t_ns > begins_ns
 
     def thrust_N(self, t_ns: int | None) -> Array | None:
         """Return the thrust (3,) in N at vehicle time ``t_ns``; None without a plan or a time, and past the plan's end.
@@ -122,7 +119,6 @@ class AppliedReporter:
                 plan_sequence=sequence,
                 plan_cycle_t_ns=plans.cycle_t_ns,
                 plan_received_t_ns=plans.received_t_ns,
-                plan_late=plans.is_late,
                 plans_late=plans.late,
                 plans_rejected=0,
                 health=plans.health(t_ns),
