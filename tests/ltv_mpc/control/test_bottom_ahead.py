@@ -76,12 +76,6 @@ def test_a_vehicle_rises_in_time_within_box_and_slew_and_descends_beyond(
     assert_within_box_and_slew(plans, PAPER.thrusters[2])
 
 
-def test_with_the_bottom_track_alone_the_same_vehicle_rises_too_late() -> None:
-    over = ground(CLIFF)
-    way, _ = travel(controller(LINE, None), over, 80.0)
-    assert way[:, 2].min() < LEAST_M - 1.0
-
-
 def test_the_path_after_a_corner_counts_not_the_ground_straight_on() -> None:
     """The path turns 12 m before a cliff. A straight line would meet it, so a vehicle at a point beyond it rises."""
     over = ground(CLIFF)
