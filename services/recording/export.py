@@ -92,7 +92,7 @@ def export(parts: Sequence[Path], folder: Path, form: Format) -> ExportResult:
 
 def _rows(parts: Sequence[Path]) -> Iterator[tuple[str, Row | None]]:
     """Yield the key of each message with its row, with one of each inertial sample; None if it is not a map."""
-    for stored in Recording(*parts, past_losses=True):
+    for stored in Recording(*parts):
         try:
             rows = list(_rows_of(stored))
         except (ValueError, TypeError, AttributeError, RecursionError):  # no map, or one that no recorder wrote
