@@ -130,7 +130,6 @@ CASES = [
     ("controller --rate-hz 0", "rate-hz"),
     ("controller --rate-hz nan", "rate-hz"),
     ("controller --rate-hz 0.1 --horizon-s 5", "period_s = 10.0: must be <= horizon_s = 5"),
-    ("controller --metrics 65536", "metrics"),
     ("controller --own-clock", "--own-clock"),
     ("ctl go", 'argument ACTION: "go": must be one of arm, disarm'),
     ("ctl arme", 'did you mean "arm"?'),
