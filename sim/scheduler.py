@@ -73,7 +73,7 @@ NO_OBSERVATION = Observation()
 def rejected_by_type_name(node: str, message: ReceivedMessage, reason: str) -> RejectedFrame:
     """Return the rejection of a message that has no frame: its type for the key, and neither crc nor payload."""
     kind = type(message.message).__name__
-    return RejectedFrame(t_ns=message.received_t_ns, node=node, key=kind, reason=reason, crc=0)
+    return RejectedFrame(t_ns=message.received_t_ns, node=node, key=kind, reason=reason, crc=0, payload_base64="")
 
 
 PENDING = -1

@@ -75,7 +75,7 @@ def _false(message: Message) -> Message:
 
 COUNTS = dict.fromkeys(("steps", "published", "received", "dropped", "rejected"), FAR)
 STATUS = NodeStatus(node="sensors", t_ns=0, ready=True, waiting_for="", **COUNTS)
-REJECTED = RejectedFrame(t_ns=0, node="sensors", key="plan", reason="false", crc=0)
+REJECTED = RejectedFrame(t_ns=0, node="sensors", key="plan", reason="false", crc=0, payload_base64="")
 REPORTS: Sequence[tuple[str, Message]] = (
     ("status/x", STATUS),
     ("event/x", RunEvent(t_ns=0, node="supervisor", kind="fault", text="false")),

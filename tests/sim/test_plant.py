@@ -88,8 +88,8 @@ def test_a_plan_is_answered_in_the_step_it_arrives_in():
     plan = arrival(220 * MS, RAMP, sequence=5, received_ns=215 * MS)
     reports = {x.t_ns: x for x in run(plant_of(), 500 * MS, {230 * MS: [plan]})[1]}
     before, receipt = reports[200 * MS], reports[230 * MS]
-    assert (before.plan_epoch, before.plan_sequence, before.plans_late) == (0, -1, 0)
-    assert (receipt.plan_epoch, receipt.plan_sequence) == (77, 5)
+    assert (before.plan_epoch, before.plan_sequence, before.plan_late) == (0, -1, False)
+    assert (receipt.plan_epoch, receipt.plan_sequence, receipt.plan_late) == (77, 5, False)
     assert (receipt.plan_received_t_ns, receipt.plan_cycle_t_ns) == (215 * MS, 220 * MS - 5)
     assert (receipt.plans_late, receipt.plans_rejected) == (0, 0)
 
@@ -97,7 +97,7 @@ def test_a_plan_is_answered_in_the_step_it_arrives_in():
 def test_a_late_plan_is_counted_and_does_not_make_the_command_jump():
     _, reports = run(plant_of(), S, {430 * MS: [arrival(0, RAMP, received_ns=425 * MS)]})
     (receipt,) = (x for x in reports if x.t_ns == 430 * MS)
-    assert receipt.plans_late == 1
+    assert (receipt.plan_late, receipt.plans_late) == (True, 1)
     assert receipt.command_N[0] == pytest.approx(0.5)  # in force from its arrival on: 5 ms at 100 N/s
     assert all(max(x.command_slew_N_per_s) <= 100 + 1e-9 for x in reports)
 

@@ -139,7 +139,7 @@ def idle_actuators(craft: Craft) -> tuple[Message, ...]:
 
 
 WHY = "second source: epoch 5 while epoch 3 publishes"
-SECOND = RejectedFrame(t_ns=0, node="controller", key="applied", reason=WHY, crc=0)
+SECOND = RejectedFrame(t_ns=0, node="controller", key="applied", reason=WHY, crc=0, payload_base64="")
 
 
 def second_actuators(craft: Craft) -> tuple[Message, ...]:

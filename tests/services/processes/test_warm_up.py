@@ -51,7 +51,7 @@ for k in range(60):
     thrust = tuple(plan.thrust_at(estimate.t_ns))
     controller.add_report(Applied(
         t_ns=estimate.t_ns, thrust_N=thrust, command_N=thrust, command_slew_N_per_s=(0.0, 0.0, 0.0), plan_epoch=1,
-        plan_sequence=k, plan_cycle_t_ns=plan.cycle_t_ns, plan_received_t_ns=plan.cycle_t_ns + 10**7,
+        plan_sequence=k, plan_cycle_t_ns=plan.cycle_t_ns, plan_received_t_ns=plan.cycle_t_ns + 10**7, plan_late=False,
         plans_late=0, plans_rejected=0))
     controller.add_timing(CycleTiming(
         t_ns=plan.cycle_t_ns, compute_ns=10**7, compute_wall_ns=10**7, estimate_age_ns=0, stage_us={}))

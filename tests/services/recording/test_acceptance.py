@@ -25,7 +25,7 @@ from tests.services.words import status
 STRANGER, S = 99, 1_000_000_000
 Frame = tuple[str, type[Message], dict[str, Any]]
 
-REJECTED = RejectedFrame(t_ns=0, node="estimator", key="plan", reason="range", crc=0)
+REJECTED = RejectedFrame(t_ns=0, node="estimator", key="plan", reason="range", crc=0, payload_base64="")
 
 
 def frame(key: str, message: Message, *, epoch: int = STRANGER, sequence: int = 0, **changed: Any) -> Frame:

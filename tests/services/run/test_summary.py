@@ -18,7 +18,7 @@ from tests.services.words import status
 from tests.waiting import until
 
 ESTIMATE = Estimate.at_rest()
-REJECTED = RejectedFrame(t_ns=0, node="estimator", key="sensor/depth", reason="range", crc=0)
+REJECTED = RejectedFrame(t_ns=0, node="estimator", key="sensor/depth", reason="range", crc=0, payload_base64="")
 DEPTH = PressureDepth(t_ns=0, depth_m=1.0)
 
 
