@@ -22,7 +22,6 @@ START = msgspec.structs.replace(Estimate.at_rest(), depth_m=None)
 AGAINST, CARRIED = (msgspec.structs.replace(at_rest(north_mps), depth_m=None) for north_mps in (0.3, 0.7))
 """In a current to the north, weaker and stronger than the vehicle."""
 ACROSS = references.Line(start=PLACE(north_m=0.0, east_m=0.0), end=PLACE(north_m=0.0, east_m=30.0), speed_mps=0.2)
-ALONG = references.Line(start=PLACE(north_m=0.0, east_m=0.0), end=PLACE(north_m=25.0, east_m=0.0), speed_mps=0.4)
 
 
 def at(estimate: Estimate, north_m: float, t_s: float, **changes: float) -> Estimate:
@@ -126,7 +125,6 @@ def test_health_says_it_while_a_vehicle_is_carried_away_from_its_target():
     ("reference", "start", "seconds"),
     [
         (references.Point(north_m=-8.0, east_m=0.0), AGAINST, 75.0),  # it comes nearer slowly
-        (ALONG, START, 75.0),
         (DEEP, START, 45.0),
     ],
 )

@@ -142,6 +142,9 @@ def test_a_depth_is_missing_only_where_it_is_needed(name, reference):
     """A surface craft follows a reference with a depth on the surface (docs/vehicles.md)."""
     plan = Controller(Vehicle.load(name), reference).plan(Estimate.at_rest(north_m=0.5))
     assert NO_DEPTH not in (plan.why, plan.health_why)
+    if name == "surface":
+        assert plan.origin is PlanOrigin.SOLVED
+        assert not plan.thrust_N[:, 2].any()
 
 
 @pytest.mark.parametrize("period_s", [0.1, 0.7])
