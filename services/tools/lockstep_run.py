@@ -151,7 +151,7 @@ class _Log:
 
     def published(self, node: str, message: ReceivedMessage) -> None:
         content = message.message
-        self.metrics.observe(content, epoch=EPOCH, sequence=message.sequence, t_ns=message.received_t_ns)
+        self.metrics.observe(content, epoch=EPOCH, sequence=message.sequence)
         if type(content) is RejectedFrame:
             self.rejected_count += 1
         if self._writer is not None:
