@@ -18,7 +18,6 @@ WORSE, SHARE = 1.3, {"hold": 1.0, "square": 0.65}
 ROWS = {
     Row("light_boat", "square", RIGHT): 0.057,
     Row("light_boat", "square", "mass=2 drag=0.5 arm=0.7"): 0.100,
-    Row("bluerobotics-boat", "square", "mass=2"): 0.061,
     Row("bluerobotics-boat", "square", "thrust=0.7"): 0.083,
     Row("bluerobotics-boat", "square", "wind=0.1"): 0.103,
     Row("bluerobotics-boat", "square", "waves_V=0.15"): 0.268,
