@@ -43,13 +43,12 @@ from ltv_mpc.messages import (
     ModelCheck,
     Obstacles,
     Plan,
-    RejectedFrame,
 )
 from ltv_mpc.node import Cycle, Inbox, ReceivedMessage, Stopwatch, no_stopwatch
 from ltv_mpc.references import Reference
 from ltv_mpc.safety.command_arbiter import MANUAL_TIMEOUT_NS, CommandArbiter
 from ltv_mpc.safety.health import NOMINAL, HealthState, plan_timeout_ns, report_health, worst
-from ltv_mpc.safety.input_age import SECOND_SOURCE, InputMonitor
+from ltv_mpc.safety.input_age import InputMonitor
 from ltv_mpc.safety.mission_policy import MissionPolicy
 from ltv_mpc.safety.model_monitor import ModelMonitor
 from ltv_mpc.safety.source_selector import Source
@@ -68,11 +67,10 @@ class ControllerNode:
     """Controller of one vehicle as a node.
 
     It reads the newest ``Estimate`` and ``Manual``, and each ``Applied``, ``Command``, ``CycleTiming``, ``ClockStep``,
-    ``Battery``, ``Leak``, ``Obstacles`` and ``Heartbeat``, and the ``RejectedFrame`` of its own process; commands after
-    the other messages of an inbox. It writes one ``Plan`` per cycle, also while disarmed: that plan ramps all thrusts
-    to zero. It also writes an ``Acknowledgement`` for each command, and from time to time a ``ControllerState``, a
-    ``ModelCheck`` and, with a fence or obstacles, a ``FenceInForce``. A node that replaces another one receives the
-    newest ``ControllerState`` as its first message.
+    ``Battery``, ``Leak``, ``Obstacles`` and ``Heartbeat``; commands after the other messages of an inbox. It writes one
+    ``Plan`` per cycle, also while disarmed: that plan ramps all thrusts to zero. It also writes an ``Acknowledgement``
+    for each command, and from time to time a ``ControllerState``, a ``ModelCheck`` and, with a fence or obstacles, a
+    ``FenceInForce``. A node that replaces another one receives the newest ``ControllerState`` as its first message.
     """
 
     name = "controller"
@@ -87,7 +85,6 @@ class ControllerNode:
         Battery,
         Leak,
         Obstacles,
-        RejectedFrame,
     )
     writes: tuple[type[Message], ...] = (Plan, Acknowledgement, ControllerState, ModelCheck, FenceInForce)
 
@@ -185,8 +182,6 @@ class ControllerNode:
                     self.controller.add_report(applied)
                     self._model_monitor.add_report(applied)
                     self._plan_rejections.add(applied, received.received_t_ns)
-            case RejectedFrame() as rejected if rejected.key == ACTUATORS:
-                self.reports.reject(rejected.reason)
             case CycleTiming() as timing:
                 self.controller.add_timing(timing)
             case Obstacles() as obstacles:
@@ -240,17 +235,10 @@ class ControllerNode:
             "commands": self.controller.actuator_check.health,
             "clock": self._health_of_clock(t_ns),
             "obstacles": self._commands.fence.health,
-            "source": worst(self.sources.health(t_ns), self._health_of_report_source(t_ns)),
+            "source": self.sources.health(t_ns),
             "vehicle file": self.controller.vehicle_file_check.health,  # stands for minutes, and hides nothing new
             "thrusters": self._health_of_thrusters(),
         }
-
-    def _health_of_report_source(self, t_ns: int) -> HealthState:
-        """Return the health by a second source of the actuators' reports, whose frames validation rejects."""
-        why = self.reports.contest.second(t_ns)
-        if why is None:
-            return NOMINAL
-        return HealthState(Health.DEGRADED, f"{SECOND_SOURCE} on {ACTUATORS}{why.removeprefix(SECOND_SOURCE)}")
 
     def _health_of_clock(self, t_ns: int) -> HealthState:
         """Return the health by doubts about a publisher's clock."""

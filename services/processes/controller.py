@@ -32,7 +32,6 @@ from ltv_mpc.messages import (
     Estimate,
     Manual,
     Message,
-    RejectedFrame,
     Solve,
     SolveStatus,
 )
@@ -141,10 +140,6 @@ class FailedQps:
         self._say(f"a QP was not solved ({failed.solve.why}); saved: ltv-mpc qp show {path}")
 
 
-INTERNAL_TYPES = (ControllerState, RejectedFrame)
-"""Messages that other publishers do not need: for a restarted controller, and the controller's own process."""
-
-
 def key_in(bus: BusOptions, topic: Topic) -> str:
     """Return the key of a topic with the bus's namespace."""
     return f"{bus.namespace}/{topic.key}" if bus.namespace else topic.key
@@ -157,7 +152,7 @@ def announcement(bus: BusOptions, config: ResolvedConfig) -> Iterator[str]:
     yield "SI units and radians, north-east-down; each field name ends with its unit; `ltv-mpc topics KEY` lists them"
     inputs = [kind for kind in ControllerNode.reads if BY_TYPE[kind].written_by != ControllerNode.name]
     outputs: list[type[Message]] = [*ControllerNode.writes, ControllerStatus]
-    inputs, outputs = ([kind for kind in kinds if kind not in INTERNAL_TYPES] for kinds in (inputs, outputs))
+    inputs, outputs = ([kind for kind in kinds if kind is not ControllerState] for kinds in (inputs, outputs))
     for verb, kinds in (("reads ", inputs), ("writes", outputs)):
         for kind in kinds:
             topic = BY_TYPE[kind]
