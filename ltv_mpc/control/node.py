@@ -237,7 +237,7 @@ class ControllerNode:
             "obstacles": self._commands.fence.health,
             "source": self.sources.health(t_ns),
             "vehicle file": self.controller.vehicle_file_check.health,  # stands for minutes, and hides nothing new
-            "thrusters": self._health_of_thrusters(),
+            "thrusters": self._model_monitor.weak_thruster.health(self.controller.vehicle),
         }
 
     def _health_of_clock(self, t_ns: int) -> HealthState:
@@ -245,11 +245,6 @@ class ControllerNode:
         if self._clock_doubt is not None and t_ns - self._clock_doubt.t_ns < CLOCK_DOUBT_NS:
             return HealthState(Health.DEGRADED, UNCERTAIN_CLOCK)
         return NOMINAL
-
-    def _health_of_thrusters(self) -> HealthState:
-        """Return the health by a weak thruster whose box is reduced."""
-        reduced = self.controller.config.reduce_weak_thruster
-        return self._model_monitor.weak_thruster.health(self.controller.vehicle) if reduced else NOMINAL
 
     def _pre_arm_failures(self) -> list[Failure]:
         """Return the pre-arm checks that fail now."""
@@ -294,12 +289,10 @@ class ControllerNode:
         return msgspec.structs.replace(check, alarm=True, why=f"{why}; {check.why}" if check.why else why)
 
     def _set_thrust_shares(self) -> None:
-        """Plan with the share that a weak thruster delivers, unless the settings turn this off."""
+        """Plan with the share that a weak thruster delivers."""
         monitor, weak = self._model_monitor, self._model_monitor.weak_thruster
-        reduced = self.controller.config.reduce_weak_thruster and weak.is_weak
-        known = reduced and not weak.may_be_weaker
-        shares = weak.shares if reduced else (1.0, 1.0)
-        self.controller.set_thrust_shares(shares, in_doubt=monitor.suspects_loss and not known)
+        known = weak.is_weak and not weak.may_be_weaker
+        self.controller.set_thrust_shares(weak.shares, in_doubt=monitor.suspects_loss and not known)
 
     # --- saved state ---
 
