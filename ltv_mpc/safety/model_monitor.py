@@ -144,7 +144,7 @@ class ModelMonitor:
 
     @property
     def products(self) -> Array | None:
-        """Behaviour of the vehicle so far, (6, 6) (``thrust_loss_detector.accumulate``), a copy; None if unknown."""
+        """Behaviour of the vehicle so far, (6, 6) (``thrust_loss_detector.py``), a copy; None if unknown."""
         return self._detector.products
 
     def restore(self, products: Array) -> None:
