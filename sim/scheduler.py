@@ -230,10 +230,8 @@ class LockStep:
             reader.receive(received)
 
     def _reject(self, reader: _ScheduledNode, message: ReceivedMessage, reason: str, at_ns: int) -> None:
-        """Publish the rejection in the reader's name; the reader itself receives it, if it reads rejections."""
-        _, rejected = self._announce(reader, self._make_rejection(reader.name, message, reason), at_ns)
-        if RejectedFrame in reader.reads:
-            reader.receive(rejected)
+        """Publish the rejection in the reader's name."""
+        self._announce(reader, self._make_rejection(reader.name, message, reason), at_ns)
 
 
 _OWN = (CycleTiming, RejectedFrame)

@@ -184,7 +184,7 @@ def _entry(message: ReceivedMessage, reader: str) -> InboxEntry:
 
 
 def _key(message: Message, reader: str) -> str:
-    """Return the key of a message. A node reads only its own ``RejectedFrame``, a type that all nodes write."""
+    """Return the key of a message; that of a type that all nodes write ends with the name of the node."""
     return topics.key_of(type(message), reader)
 
 
