@@ -38,21 +38,19 @@ from ltv_mpc.messages import (
 )
 from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.references import Reference
-from ltv_mpc.safety import thrust_loss_detector
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.options import BusOptions
 from services.bus.topics import BY_TYPE, Topic
 from services.processes import settings
 from services.processes.checkpoint import Checkpoint
 from services.run.settings_files import TOO_LARGE, controller_files, node_settings
-from services.runtime import metrics as prometheus
 from services.runtime.console import Console
 from services.runtime.controller_status import ControllerStatusReporter, StatusSink, status_line
 from services.runtime.lifeline import LIFELINE
 from services.runtime.process_time import ClockOptions
 from services.runtime.runner import Runner
 from services.runtime.stage_timer import StageTimer
-from services.runtime.stopping import FAILED, Say
+from services.runtime.stopping import Say
 
 Config = settings.Controller
 
@@ -65,15 +63,9 @@ def main(config: Config) -> int:
     fence = fence_for(vehicle, reference, fence_file, notes)
     control, bus = config.resolved(), config.bus
     bottom = bathymetry_for(reference, control.limits, soundings)
-    metrics, console = prometheus.Metrics(), Console(ControllerNode.name, as_json=config.log_json)
+    console = Console(ControllerNode.name, as_json=config.log_json)
     LIFELINE.connect(os.environ)
     with contextlib.ExitStack() as stack:
-        if config.metrics is not None:
-            try:
-                stack.enter_context(prometheus.serving(metrics, config.metrics))
-            except OSError as error:
-                console.say(f"--metrics {config.metrics}: {error.strerror}")
-                return FAILED
         checkpoint = None
         if config.state is not None:
             checkpoint = Checkpoint(config.state, to_toml(reference), resume_within_s=arms_within_s, console=console)
@@ -103,14 +95,14 @@ def main(config: Config) -> int:
             *([TOO_LARGE] if published is None else []),
         ):
             console.say(text)
-        shown: list[StatusSink] = [show, metrics.show]
+        shown: list[StatusSink] = [show]
         if checkpoint is not None:
             shown.append(checkpoint.show)
         if config.failed_qps is not None:
             shown.append(FailedQps(recorder, config.failed_qps, console.say).show)
         runner = Runner(
             node,
-            clock=ClockOptions(sync_to_inputs=True, input_delay_ns=round(config.input_delay_s * 1e9)),
+            clock=ClockOptions(sync_to_inputs=True),
             compute_delay_ns=round(config.compute_delay_s * 1e9),
             stages=node_stages,
             report=ControllerStatusReporter(node, shown, console.tell, checkpoint),
@@ -217,7 +209,6 @@ def warm_up(vehicle: Vehicle, reference: Reference, config: ControllerConfig) ->
         node.step(t_ns, [ReceivedMessage(message, 1, k, t_ns) for message in messages])
     for missed_s in (2.0, 12.0, 30.0):  # prediction, hold, failsafe
         node.step(t_ns + round(missed_s * 1e9), [])
-    thrust_loss_detector.warm_up()
 
 
 def warm_up_solver(vehicle: Vehicle, config: ResolvedConfig) -> None:

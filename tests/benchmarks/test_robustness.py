@@ -13,9 +13,12 @@ WORSE, SHARE = 1.3, {"hold": 1.0, "square": 0.65}
 """Factor on the measured error above which a row fails; share of a task that is flown: errors count until arrival."""
 
 ROWS = {
+    Row("light_boat", "square", RIGHT): 0.057,
     Row("light_boat", "square", "mass=2 drag=0.5 arm=0.7"): 0.100,
     Row("bluerobotics-boat", "square", "thrust=0.7"): 0.083,
+    Row("bluerobotics-boat", "square", "wind=0.1"): 0.103,
     Row("bluerobotics-boat", "square", "waves_V=0.15"): 0.268,
+    Row("bluerobotics-boat", "hold", "noise_m=0.3"): 0.064,
     Row("bluerobotics-boat", "hold", "dead_time_s=0.3"): 0.016,
 }
 """Mean error (m) of the controller's default, from the table."""

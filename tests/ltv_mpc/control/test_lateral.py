@@ -48,27 +48,17 @@ def test_the_predicted_motion_is_that_of_the_thrust_that_is_delivered(shares):
 
 @pytest.mark.parametrize("solver", SOLVER_NAMES)
 def test_the_plan_is_that_of_a_vehicle_with_thrusters_of_that_strength(solver):
-    """The problem is the same, so are its steps in newtons of the water."""
+    """The problem is the same, so are its steps in newtons of the water; from 30 m away the box bounds them."""
     config = msgspec.structs.replace(settled(ControllerConfig(horizon_s=5.1), PAPER), solver=solver, sqp_iterations=1)
     tables = msgspec.to_builtins(PAPER)
     for name in ("min_N", "max_N", "slew_N_per_s"):
         tables["thruster"]["port"][name] *= 0.5
     weak, small = Controller(PAPER, ORIGIN, config), Controller(msgspec.convert(tables, Vehicle), ORIGIN, config)
     weak.set_thrust_shares((0.5, 1.0))
-    commands, delivered = (of.plan(START).thrust_N for of in (weak, small))
-    np.testing.assert_allclose(commands * [0.5, 1.0, 1.0], delivered, atol=1e-3)
-
-
-@pytest.mark.parametrize("solver", SOLVER_NAMES)
-def test_the_box_shrinks_for_the_water_and_stays_for_the_actuators(solver):
-    """From 30 m away the plan is bounded by the box: the sound thruster gives no more than keeps it straight."""
-    plan = controller(WEAK, solver=solver, horizon_s=5.1).plan(msgspec.structs.replace(FAR, t_ns=300_000_000))
-    assert plan.origin is PlanOrigin.SOLVED
-    thrust = plan.thrust_N[:, :2]
-    assert (np.abs(thrust) <= 62.5).all()
-    assert (np.abs(np.diff(thrust, axis=0)) <= 30.0 + 1e-6).all()
-    assert thrust[:, 0].max() > 60.0  # its whole command
-    assert np.abs(thrust * WEAK)[:, 0].max() <= 0.4 * 62.5 + 1e-9
+    for start in (START, FAR):
+        commands, delivered = (of.plan(start).thrust_N for of in (weak, small))
+        np.testing.assert_allclose(commands * [0.5, 1.0, 1.0], delivered, atol=1e-3)
+    assert commands[:, 0].max() > 60.0  # its whole command
 
 
 def test_thrusters_that_are_sound_again_give_the_plans_of_before():

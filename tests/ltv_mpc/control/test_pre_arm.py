@@ -274,7 +274,7 @@ def test_the_reference_waits_while_the_position_is_held():
     assert craft.step().reference_m == pytest.approx(before.reference_m, abs=1.0)
 
 
-def test_a_pilot_keeps_the_thrusters_until_he_is_silent():
+def test_in_a_failsafe_a_pilot_keeps_the_thrusters_until_he_is_silent_and_can_take_them_again():
     craft = armed(leak=True, heard=Leak(detected=False))
     craft.command(Action.MANUAL)
     pilot = Manual(thrust_N=(5.0, 5.0, 0.0))
@@ -284,13 +284,8 @@ def test_a_pilot_keeps_the_thrusters_until_he_is_silent():
     assert plan.thrust_N[1, 0] > 0.0
     plan = craft.fly(1.5)
     assert (plan.authority, plan.why) == (Authority.CONTROLLER, "surface: leak detected")
-
-
-def test_a_pilot_can_take_the_thrusters_during_a_failsafe():
-    craft = armed(leak=True, heard=Leak(detected=False))
-    craft.step(Leak(detected=True))
     craft.command(Action.MANUAL)
-    assert craft.fly(2.0, Manual(thrust_N=(5.0, 5.0, 0.0))).authority is Authority.MANUAL
+    assert craft.fly(2.0, pilot).authority is Authority.MANUAL
 
 
 @pytest.mark.parametrize(

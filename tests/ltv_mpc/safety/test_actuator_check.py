@@ -21,7 +21,6 @@ from tests.ltv_mpc.estimates import moving, water
 from tests.ltv_mpc.reports import report
 from tests.ltv_mpc.vehicles import changed
 
-PAPER = Vehicle.load("paper")
 BOAT = Vehicle.load("bluerobotics-boat")
 STEP_NS = 50_000_000
 AWAY_S = 25.0
@@ -182,22 +181,6 @@ def test_a_report_that_says_why_no_plan_is_followed_degrades_until_it_ends():
         assert check.learns is (at_ns in (100, 1000))  # and half a second of agreement later
 
 
-WRONG = {
-    "half": lambda command_N: 0.5 * command_N,
-    "swapped sign": lambda command_N: -command_N,
-    "one side": lambda command_N: command_N * [1.0, 0.0, 0.0],
-}
-
-
-@pytest.mark.parametrize("wrong", WRONG.values(), ids=WRONG)
-def test_commands_that_differ_from_the_plan_are_noticed(wrong):
-    def delivered(truth, command_N):
-        return wrong(command_N) if truth.t_ns >= 3e9 else command_N
-
-    degraded = degraded_s(Loop(delivered=delivered).run(9.0))
-    assert 4.0 < degraded[0] <= 4.5
-
-
 @pytest.mark.parametrize(
     ("before_N", "command_N", "agrees"),
     [
@@ -231,15 +214,13 @@ def test_a_clock_that_is_set_back_ends_a_contradiction():
 
 LEGAL = (
     {"report_late_s": 1.0},
-    {"plan_delay_s": 0.9, "names_plans": False},
     {"plan_delay_s": 0.8, "names_plans": False, "config": ControllerConfig(horizon_s=2.1)},
     {"names_plans": False, "config": ControllerConfig(period_s=1.0)},
     {"report_s": 1.0},
-    {"vehicle": PAPER},
 )
 
 
-@pytest.mark.parametrize(("settings", "reference"), [*zip(LEGAL, 3 * (LINE, POINT), strict=True)], ids=str)
+@pytest.mark.parametrize(("settings", "reference"), [*zip(LEGAL, 2 * (LINE, POINT), strict=True)], ids=str)
 def test_late_reports_and_late_plans_are_no_contradiction(settings, reference):
     assert degraded_s(Loop(CURRENT, start_m=(15.0, 3.0), reference=reference, **settings).run(40.0)) == []
 

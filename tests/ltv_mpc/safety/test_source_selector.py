@@ -148,5 +148,5 @@ class Sources(RuleBasedStateMachine):
             assert self.t_ns - self.used_ns <= limit
 
 
-Sources.TestCase.settings = settings(max_examples=60, stateful_step_count=30, deadline=None)
+Sources.TestCase.settings = settings(max_examples=30, stateful_step_count=30, deadline=None)
 TestSources = Sources.TestCase

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from ltv_mpc import Fence
+from ltv_mpc.config import to_toml
 from ltv_mpc.control.config import ControllerConfig, MotionLimits
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.errors import ConfigError
@@ -41,7 +42,8 @@ def fence(tmp_path: Path) -> Path:
     hull = resolve("descent").vehicle.hull
     assert hull is not None
     place = Place(north_m=4.0 + hull.radius_m, east_m=0.0)
-    Fence(margin_m=2.0, keep_out_disc=(Disc(name="wreck", centre=place, radius_m=3.0),)).save(str(tmp_path / "f.toml"))
+    fence = Fence(margin_m=2.0, keep_out_disc=(Disc(name="wreck", centre=place, radius_m=3.0),))
+    (tmp_path / "f.toml").write_text(to_toml(fence))
     return tmp_path / "f.toml"
 
 

@@ -162,7 +162,7 @@ def test_the_vehicle_that_made_a_log_is_found(tmp_path: Path, capsys: pytest.Cap
     report = json.loads(capsys.readouterr().out)
     assert report["input"] == "pwm"
     assert report["left_out_s"] == pytest.approx(2.0, abs=0.5)  # disarmed
-    found = {one["name"]: one for one in report["found"]}
+    found = {one["name"]: one for one in report["coefficients"]}
     for name, value in zip(("mass_surge", "mass_sway"), true.values(), strict=True):
         assert found[name]["excited"]
         assert found[name]["value"] == pytest.approx(value, rel=0.05)
