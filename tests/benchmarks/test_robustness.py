@@ -6,6 +6,7 @@ import math
 
 import pytest
 
+from benchmarks.robustness.cases import RIGHT
 from benchmarks.robustness.flights import Job, Row, judged
 from benchmarks.robustness.laws import DEFAULT
 
