@@ -305,8 +305,8 @@ def load(name: str, kind: type[T], *, what: str, package: str | None) -> T:
     return parse(read_toml(path, what=what), kind, source=error_source(path, what=what, name=name))
 
 
-def to_toml(settings: msgspec.Struct) -> str:
-    """Format a struct as TOML text that ``parse`` reads back bitwise. None is left out."""
+def to_toml(settings: msgspec.Struct | dict[str, Any]) -> str:
+    """Format a struct, or a table, as TOML text that ``parse`` reads back bitwise. None is left out."""
     return tomli_w.dumps(_without_none(msgspec.to_builtins(settings)))
 
 

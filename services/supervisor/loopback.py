@@ -1,4 +1,4 @@
-"""Loopback endpoints for a run's own router."""
+"""Loopback port for a run's own router."""
 
 from __future__ import annotations
 
@@ -11,13 +11,3 @@ def free_port() -> int:
         probe.bind(("127.0.0.1", 0))
         port: int = probe.getsockname()[1]
         return port
-
-
-def is_listening(endpoint: str) -> bool:
-    """Return True if a process listens at ``PROTOCOL/HOST:PORT``."""
-    host, _, port = endpoint.partition("/")[2].rpartition(":")
-    try:
-        socket.create_connection((host, int(port)), timeout=0.2).close()
-    except OSError:
-        return False
-    return True

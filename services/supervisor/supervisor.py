@@ -229,7 +229,8 @@ class Supervisor:
             role=SUPERVISOR,
         )
         self._start_process(process_table.PROCESSES[0], bus)
-        self._wait_until(lambda: loopback.is_listening(router), ROUTER, "does not answer")
+        heartbeats = self.processes.by_name[ROUTER].hang_detector
+        self._wait_until(lambda: heartbeats.last_s is not None, ROUTER, "not ready")  # it beats once it listens
         if self._page is not None:
             self._page.start(bus)
         return bus

@@ -82,9 +82,8 @@ def reference_of(poses: Sequence[Any], header: Any, settings: Settings) -> str:
         raise Refused(f"path: {len(poses)} poses, must be 1 to {MAX_POSES}")
     places = [_place(vector("position", pose.position), settings) for pose in poses]
     if len(places) == 1:
-        return 'kind = "point"\n' + "\n".join(f"{name} = {value!r}" for name, value in places[0].items())
-    rows = ",\n".join("{" + ", ".join(f"{name} = {value!r}" for name, value in of.items()) + "}" for of in places)
-    return f'kind = "waypoints"\nspeed_mps = {settings.speed_mps!r}\nwaypoints = [\n{rows}\n]'
+        return to_toml({"kind": "point", **places[0]})
+    return to_toml({"kind": "waypoints", "speed_mps": settings.speed_mps, "waypoints": places})
 
 
 def fence_of(text: str) -> str:
