@@ -72,7 +72,7 @@ class Timed(BaseReference, frozen=True, kw_only=True, tag="timed"):
         vehicle : parameters of the vehicle, which limit the speed.
         anchor : start of the reference, from which a straight leg leads to the first row; None: start at that row.
         """
-        table, lead_m = self._table(vehicle), 0.0
+        table, lead_m = self._table(self._rows(vehicle)[0], vehicle), 0.0
         lead = table[:, [0, 0] if table[TIME, 0] > 0.0 else [0]]  # the target rests at the first row until its time
         if anchor is not None:
             ends = np.array([[anchor.north_m, anchor.east_m], table[2:4, 0]])
@@ -97,7 +97,7 @@ class Timed(BaseReference, frozen=True, kw_only=True, tag="timed"):
         """
         given, (rows, left_out) = np.array(self.rows), self._rows(vehicle)
         t, notes = rows[:, 0], []
-        late = self._table(vehicle)[TIME] - t
+        late = self._table(rows, vehicle)[TIME] - t
         if len(left_out):
             off_m = np.hypot(*(given - rows[:, : given.shape[1]])[left_out, 1:3].T)
             notes.append(
@@ -125,9 +125,9 @@ class Timed(BaseReference, frozen=True, kw_only=True, tag="timed"):
             rows[left_out, column] = np.interp(rows[left_out, 0], kept[:, 0], kept[:, column])
         return rows, left_out
 
-    def _table(self, vehicle: Vehicle) -> Array:
+    def _table(self, rows: Array, vehicle: Vehicle) -> Array:
         """Return the table (5, K) of the schedule: each row at its time, or as soon as the vehicle can be there."""
-        (rows, _), limits = self._rows(vehicle), path_limits(vehicle)
+        limits = path_limits(vehicle)
         fit = fit_legs(rows[:, 1:], CORNER_M, curves=False)
         points = along(fit.ends, fit.at)
         corners = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(fit.ends[:, :2], axis=0).T))])

@@ -86,7 +86,7 @@ def check(
             limits=None if settings is None else ControllerConfig.load(str(settings)).limits,
         )
         result = replace(result, mission=replace(mission, notes=[*notes, *mission.notes]))
-    text = vehicle_check.table(result)
+    text = vehicle_check.table(loaded, result)
     if result.mission is not None:
         text += f"\n{mission_check.table(result.mission)}\n{picture}"
     show(result, lambda: text, as_json=as_json)

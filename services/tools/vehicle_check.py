@@ -17,7 +17,6 @@ from ltv_mpc.vehicle.parameters import Vehicle
 from ltv_mpc.vehicle.performance import Performance, performance
 from ltv_mpc.vehicle.plausibility import warnings
 from ltv_mpc.vehicle.propulsion import propulsive_power_W
-from ltv_mpc.vehicle.reference_point import ReferencePoint
 from services.runtime.console import figure, fold
 from services.tools.mission_check import MissionCheck
 
@@ -29,14 +28,10 @@ class Check(msgspec.Struct, frozen=True, kw_only=True):
     """Result of ``vehicle check --json``."""
 
     name: str
-    description: str
-    dives: bool
-    reference_point: ReferencePoint
     performance: Performance
     speed_scale_mps: float
     time_scale_s: float
     horizon_s: float  # proposed; default without [controller] horizon_s
-    plan_timeout_s: float  # without a new plan the thrusters go to rest after this time
     full_power_W: float | None  # at the shafts of port and starboard, full ahead at rest; null: no torque coefficients
     bow: Bow  # which end goes first on a path; default without [controller.limits] bow
     weights: Weights  # default without [controller.weights]
@@ -62,14 +57,10 @@ def check(vehicle: Vehicle) -> Check:
     config = configs["normal"]
     return Check(
         name=vehicle.name,
-        description=vehicle.description,
-        dives=vehicle.can_dive,
-        reference_point=vehicle.reference_point,
         performance=can,
         speed_scale_mps=scales.speed_mps,
         time_scale_s=scales.time_s,
         horizon_s=config.horizon_s,
-        plan_timeout_s=vehicle.plan_timeout_s,
         full_power_W=_full_power_W(vehicle),
         bow=config.limits.bow or "either",
         weights=config.weights,
@@ -80,9 +71,9 @@ def check(vehicle: Vehicle) -> Check:
     )
 
 
-def table(of: Check) -> str:
-    """Format the result as text."""
-    can, w, point = of.performance, of.weights, of.reference_point
+def table(vehicle: Vehicle, of: Check) -> str:
+    """Format the result of a vehicle as text."""
+    can, w, point = of.performance, of.weights, vehicle.reference_point
     rows = [
         ("top speed ahead", _value(can.top_speed_ahead_mps, "m/s")),
         ("top speed astern", _value(can.top_speed_astern_mps, "m/s")),
@@ -102,7 +93,7 @@ def table(of: Check) -> str:
             f"{point.forward_m:g} m forward, {point.starboard_m:g} m starboard, {point.down_m:g} m down of the origin",
         ),
         ("power, full ahead at rest", _value(of.full_power_W, "W", none="no torque coefficients")),
-        ("without a new plan", f"thrusters at rest after {of.plan_timeout_s:g} s"),
+        ("without a new plan", f"thrusters at rest after {vehicle.plan_timeout_s:g} s"),
         ("proposed horizon", f"{of.horizon_s:g} s, the default of every controller"),
         ("on a path", "bow first: it is weaker astern" if of.bow == "first" else "bow or stern first"),
         ("scales of the weights", f"V {of.speed_scale_mps:.3g} m/s, T {of.time_scale_s:.3g} s"),
@@ -111,8 +102,8 @@ def table(of: Check) -> str:
         ("", f"thrust {w.thrust:g}, its change {w.thrust_change:g}"),
         *_margin_rows(of),
     ]
-    kind = "dives" if of.dives else "surface craft"
-    lines = [fold(f"{of.name} ({kind}): {of.description}")]
+    kind = "dives" if vehicle.can_dive else "surface craft"
+    lines = [fold(f"{vehicle.name} ({kind}): {vehicle.description}")]
     lines += [fold(f"  {name:<34}{value}", indent=36) for name, value in rows]
     lines += [fold(f"  warning: {warning}") for warning in of.warnings] or ["  no warnings"]
     return "\n".join(lines)

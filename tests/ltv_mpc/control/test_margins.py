@@ -208,10 +208,11 @@ def test_the_weights_of_a_vehicle_that_lacks_margins_are_slower_and_given_ones_s
 
 
 def test_the_check_names_the_current_up_to_which_the_margins_suffice():
-    text = " ".join(vehicle_check.table(vehicle_check.check(BOAT)).split())
+    text = " ".join(vehicle_check.table(BOAT, vehicle_check.check(BOAT)).split())
     assert "margins suffice in a current up to 0.158 m/s" in text
     assert "in none with effort high" in text
     assert "docs/robustness.md" in text
-    paper = " ".join(vehicle_check.table(vehicle_check.check(Vehicle.load("paper"))).split())
+    vehicle = Vehicle.load("paper")
+    paper = " ".join(vehicle_check.table(vehicle, vehicle_check.check(vehicle)).split())
     assert "docs/robustness.md" not in paper
     assert "to the side this hull reacts at second order" in paper
