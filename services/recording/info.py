@@ -185,7 +185,7 @@ class _Collector:
         """Read a segment to its end."""
         messages = 0
         span: _Span | None = None
-        for stored in recording.stored():
+        for stored in recording:
             messages += 1
             span = span or _Span(stored.t_ns)
             span.add(stored.t_ns)

@@ -124,7 +124,7 @@ def _copied(parts: Sequence[Path], out: Path) -> Recovery:
     with RunWriter(out, start_ns=start_of(metadata), metadata=metadata, flush_s=None) as writer:
         for path in parts:
             recording, messages = Recording(path), 0
-            for stored in recording.stored():
+            for stored in recording:
                 writer.copy(stored, *recording.channels[stored.key])
                 messages += 1
             for name, values in recording.others.items():
