@@ -19,7 +19,7 @@ from services.dashboard.config import View
 from services.reporting.plots.catalogue import PLOTS
 from services.reporting.plots.description import NO_DATA, Group
 from services.supervisor import loopback
-from tests.browser.conftest import PHONE, POINTS, SCREEN, background, drawn, fits, looks, tab
+from tests.browser.conftest import LOOKS, PHONE, POINTS, SCREEN, background, drawn, fits, looks, tab
 from tests.services.dashboard.synthetic_vehicle import Served, serving
 from tests.services.reporting.synthetic_run import NODES, OFFSET, SPEED_NORTH_MPS, WRECK
 from tests.waiting import until
@@ -149,7 +149,7 @@ def test_the_reader_can_look_back_and_return(shown: Any) -> None:
     north_m = OFFSET[0] + SPEED_NORTH_MPS * (then_s - age_s) + hull.length_m / 2
     until(lambda: hull_north_m(shown) == pytest.approx(north_m, abs=0.02))
     until(lambda: shown.evaluate("document.querySelector('#plot-depth').layout.shapes.length") == 1)
-    for _ in looks(shown):
+    for _ in looks(shown, LOOKS[-1:]):  # the narrowest
         assert shown.inner_text("#at") == f"t = {then_s:.1f} s"
         assert f"{then_s:.1f} s" in shown.inner_text("#facts")
     shown.click("#now")
@@ -180,7 +180,7 @@ def test_after_the_end_of_a_run_the_page_says_so_and_keeps_the_report(live, repo
     shown.focus("#moment")
     shown.keyboard.press("Home")
     until(lambda: shown.inner_text("#at").startswith("t = "))
-    for _ in looks(shown):
+    for _ in looks(shown, LOOKS[1:]):
         assert shown.locator("#buttons button:enabled, [data-kill]:visible").count() == 0
         assert shown.locator("#finished a, #finished button").evaluate_all(IN_WINDOW) == 2
     opened: list[str] = []

@@ -125,13 +125,6 @@ def test_velocity_over_ground_is_that_through_water_plus_the_current_at_depth():
         assert x.velocity_mps == pytest.approx(tuple(over_ground))
 
 
-def test_a_weaker_plant_is_weaker_in_truth_and_not_in_what_its_actuators_say():
-    push = {0: [arrival(0, [[0, 0, 0], *[[20, 20, 0]] * 20])]}
-    truths, reports = run(plant_of("plant.mismatch.thrust=0.7"), 4 * S, push)
-    assert truths[-1].thrust_N[0] == pytest.approx(0.7 * 20, rel=0.02)
-    assert reports[-1].thrust_N[0] == pytest.approx(20, rel=0.02)
-
-
 def test_a_stronger_plant_delivers_no_more_than_its_limits():
     ramp = [[30, 30, 30], [60, 60, 60], [62.5, 62.5, 62.5]]
     strong, usual = (dive(*of, until_s=4, thrust=ramp) for of in (["plant.mismatch.thrust=1.1"], []))

@@ -1,9 +1,8 @@
-"""Runs of real processes: complete, failed, interrupted, orphaned; and each node alone, in any order of start."""
+"""Runs of real processes: complete, failed, orphaned. tests/system has one that is interrupted, and nodes alone."""
 
 from __future__ import annotations
 
 import io
-import json
 import os
 import shutil
 import signal
@@ -329,20 +328,6 @@ def test_a_killed_or_hung_process_continues_where_it_was_and_a_killed_sensors_pr
             assert node.node == "controller" or len(node.gaps) == 1
 
 
-def test_ctrl_c_ends_everything_in_order_and_leaves_a_valid_recording(launcher) -> None:
-    process, out = launcher
-    pids = children_of(process.pid)
-    assert len(pids) >= 7  # six, the guard, and who forks them
-    process.send_signal(signal.SIGINT)
-    until(lambda: not any(alive(pid) for pid in pids))
-    assert process.wait(PATIENCE_S) == 130  # after the summary of what there is
-    assert json.loads((out / "summary.json").read_text())["duration_s"] < 200.0
-    assert "localisation" in (out.parent / "launcher.log").read_text()
-    found, keys = recorded(out / "run.mcap")
-    assert (found.whole, found.missing) == (True, 0)
-    assert keys["world/truth"].messages > 0
-
-
 class ClosedStream(io.StringIO):
     """Standard error whose reader has gone."""
 
@@ -366,22 +351,3 @@ def test_a_killed_supervisor_leaves_no_orphan_and_the_recorder_completes_its_fil
     process.kill()
     until(lambda: not any(alive(pid) for pid in pids))
     assert recorded(out / "run.mcap")[0].whole
-
-
-def test_nodes_started_in_the_wrong_order_name_what_they_wait_for_and_continue(tmp_path: Path, free_port: int) -> None:
-    endpoint, scenario = f"tcp/127.0.0.1:{free_port}", tmp_path / "short.toml"
-    scenario.write_text('title = "short"\n[run]\nduration_s = 1.0\nspeed = 5.0\nperfect_state = true\n')
-    bus = ("--connect", endpoint, "--namespace", "test")
-    with (
-        started(*CLI, "controller", *bus) as (controller, of_controller),
-        started(*CLI, "sensors", str(scenario), *bus) as (sensors, of_sensors),
-        started(*CLI, "plant", str(scenario), *bus) as (plant, of_plant),
-    ):
-        for lines in (of_controller, of_sensors, of_plant):
-            lines.until(lambda line: f"`ltv-mpc router --listen {endpoint}` starts one" in line)
-        with started(*CLI, "router", "--listen", endpoint) as (router, _):
-            of_plant.until(lambda line: "waiting for" in line)
-            assert plant.wait(PATIENCE_S) == 0
-            for process in (sensors, controller, router):
-                process.send_signal(signal.SIGTERM)
-                assert process.wait(PATIENCE_S) == 0
