@@ -246,11 +246,14 @@ def _run_processes(
 ) -> int:
     from services.dashboard.config import About, Config
     from services.dashboard.sidecar import Sidecar
+    from services.reporting.plots.collector import Collector
     from services.reporting.terminal import RunScreen
     from services.run.folder import REPORT
     from services.supervisor.supervisor import Supervisor
 
-    screen = RunScreen(run_config.scenario.title, run_config.vehicle, files=run_config.files)
+    collector = Collector(run_config.vehicle)
+    collector.set_files(run_config.files)
+    screen = RunScreen(run_config.scenario.title, collector)
     about = About(
         name=f"{run_config.scenario.title} · vehicle {run_config.vehicle.name}",
         report=str(folder.path / REPORT),

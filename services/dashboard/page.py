@@ -25,9 +25,10 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from ltv_mpc.errors import format_value
+from services.bus.options import BusOptions
 from services.dashboard.access_guard import AccessGuard, Token
 from services.dashboard.bus_feed import BusFeed
-from services.dashboard.commands import SIMULATED, Button, ButtonReply, ButtonRequest
+from services.dashboard.commands import SIMULATED, Button, ButtonReply, ButtonRequest, do
 from services.dashboard.config import About, View
 from services.dashboard.stream import MAX_READERS, PERIOD_S, Reader, Stream
 from services.reporting import static_files
@@ -44,9 +45,6 @@ _SAFE = static_files.safe_part(
     command='<th><span class="hidden">command</span></th>',
 )
 
-Do = Callable[[ButtonRequest, int | None, float], ButtonReply]
-"""Executes a command; called in a worker thread, because it waits for the reply."""
-
 OnView = Callable[[View], object]
 """Is called with what browsers show."""
 
@@ -59,9 +57,9 @@ MAX_COMMAND_BYTES = 1024
 
 
 def make(
-    feed: BusFeed, token: Token, *, allowed: frozenset[str], about: About, command: Do, on_view: OnView
+    feed: BusFeed, token: Token, *, allowed: frozenset[str], about: About, bus: BusOptions, on_view: OnView
 ) -> Starlette:
-    """Return the application. ``allowed`` are the accepted Host headers."""
+    """Return the application. ``allowed`` are the accepted Host headers; commands go to ``bus``."""
     stream = Stream(feed)
     index = static_files.filled((HERE / "index.html").read_text(encoding="utf-8"), safe=_SAFE)
     files = {
@@ -90,7 +88,7 @@ def make(
         return FileResponse(path) if path.is_file() else Response(status_code=204)
 
     async def live(socket: WebSocket) -> None:
-        await _live(socket, _Commands(feed, stream, token, command, on_view), about)
+        await _live(socket, _Commands(feed, stream, token, bus, on_view), about)
 
     return Starlette(
         routes=[
@@ -110,7 +108,7 @@ class _Commands(NamedTuple):
     feed: BusFeed
     stream: Stream
     token: Token
-    command: Do
+    bus: BusOptions
     on_view: OnView
 
     def look_at_readers(self) -> None:
@@ -193,4 +191,4 @@ async def _reply(text: str, reader: Reader, commands: _Commands) -> ButtonReply 
     if request.button is Button.HEARTBEAT:
         feed.beat()
         return None
-    return await asyncio.to_thread(commands.command, request, feed.t_ns(), moment.requested_speed)
+    return await asyncio.to_thread(do, request, commands.bus, feed.t_ns(), moment.requested_speed)

@@ -27,7 +27,6 @@ from services.bus.session import open_session
 from services.dashboard import page
 from services.dashboard.access_guard import LOOPBACK, Token, headers, hosts
 from services.dashboard.bus_feed import BusFeed
-from services.dashboard.commands import do
 from services.dashboard.config import Config
 from services.reporting.static_files import report_scripts
 from services.runtime.console import Console
@@ -105,7 +104,7 @@ def main(config: Config) -> int:
                 token,
                 allowed=hosts({*LOOPBACK, named}, port),
                 about=msgspec.structs.replace(config.about, bus=bus.namespace or ", ".join(bus.connects_to)),
-                command=lambda request, t_ns, speed: do(request, bus, t_ns, speed),
+                bus=bus,
                 on_view=_write if config.of_a_run else lambda _: None,
             )
             bound.listen()  # clients that connect before the server runs wait for it

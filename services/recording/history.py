@@ -11,12 +11,8 @@ a router's queue to the page, and a router with one thread then forwarded nothin
 from __future__ import annotations
 
 import threading
-from bisect import bisect_left
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
-from heapq import merge
-from itertools import islice, repeat
-from operator import attrgetter
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import msgspec
@@ -115,23 +111,17 @@ class History:
 
     def reply(self, first: int) -> bytes:
         """Return the messages from number ``first`` on, as an encoded ``Part`` of about ``REPLY_BYTES``."""
-        part = Part([], None)
-        size = 0
         with self._lock:
-            for key, (_, number, payload) in self._from(first):
-                if size > REPLY_BYTES:
-                    part.next = number
-                    break
-                part.messages.append((key, payload))
-                size += len(payload)
+            kept = [*self._events.items(), *((source, samples.kept) for source, samples in self._samples.items())]
+            later = [(one.number, key, one.payload) for (key, _), of in kept for one in of if one.number >= first]
+        part, size = Part([], None), 0
+        for number, key, payload in sorted(later):
+            if size > REPLY_BYTES:
+                part.next = number
+                break
+            part.messages.append((key, payload))
+            size += len(payload)
         return msgspec.msgpack.encode(part)
-
-    def _from(self, first: int) -> Iterator[tuple[str, Entry]]:
-        number = attrgetter("number")
-        kept: list[tuple[str, Sequence[Entry]]] = [(key, events) for (key, _), events in self._events.items()]
-        kept += [(key, samples.kept) for (key, _), samples in self._samples.items()]
-        later = [zip(repeat(key), islice(of, bisect_left(of, first, key=number), None)) for key, of in kept]
-        return merge(*later, key=lambda pair: pair[1].number)
 
 
 def _shortened(kind: type[Message], message: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -19,7 +19,7 @@ from services.bus.wire import Header, WireError
 from services.recording.loss_accounting import SequenceGaps
 from services.recording.node_settings import SCENARIO, table_of, vehicle_name
 from services.recording.reader import Recording, StoredMessage
-from services.recording.recover import RECOVERY
+from services.recording.recover import RECOVERY, Segment, read_segment
 from services.recording.writer import ENDED, VEHICLE_MODE
 
 SUPERVISOR_EVENTS = topics.key_of(RunEvent, SUPERVISOR)
@@ -31,18 +31,6 @@ MAX_GAPS = 20
 """Gaps that are listed of each source."""
 FIRST_DATE_S, LAST_DATE_S = 946_684_800.0, 4_102_444_800.0
 """2000 and 2100: times between them count from 1970. A clock that counts from its boot is far below."""
-
-
-class Segment(msgspec.Struct, frozen=True, kw_only=True):
-    """File of the recording."""
-
-    file: str
-    bytes: int
-    whole: bool
-    lost_bytes: int
-    messages: int
-    first_s: float | None
-    last_s: float | None
 
 
 class Source(msgspec.Struct, frozen=True, kw_only=True):
@@ -181,28 +169,9 @@ class _Collector:
         self.unreadable = 0
         self.settings: dict[str, NodeSettings] = {}  # newest, by key
 
-    def read(self, recording: Recording) -> Segment:
-        """Read a segment to its end."""
-        messages = 0
-        span: _Span | None = None
-        for stored in recording.stored():
-            messages += 1
-            span = span or _Span(stored.t_ns)
-            span.add(stored.t_ns)
-            self._add(stored, from_first=recording.metadata.get("mode") == VEHICLE_MODE)
-        (records,) = recording.parts
-        return Segment(
-            file=records.path.name,
-            bytes=records.size,
-            whole=records.whole,
-            lost_bytes=records.lost_bytes,
-            messages=messages,
-            first_s=None if span is None else span.first_ns / 1e9,
-            last_s=None if span is None else span.last_ns / 1e9,
-        )
-
-    def _add(self, stored: StoredMessage, *, from_first: bool) -> None:
-        """Add a message; ``from_first`` as in ``_KeyFigures.add_message``."""
+    def add(self, stored: StoredMessage, recording: Recording) -> None:
+        """Add a message of a recording."""
+        from_first = recording.metadata.get("mode") == VEHICLE_MODE
         try:
             header = stored.header()
             figures = self.keys.setdefault(stored.key, _KeyFigures(stored.t_ns))
@@ -227,7 +196,7 @@ def read(parts: Sequence[Path]) -> Info:
     """Summarise the segments of a recording, in their order. Raises ``ConfigError`` if one is not an MCAP file."""
     collector = _Collector()
     recordings = [Recording(path) for path in parts]
-    segments = tuple(map(collector.read, recordings))
+    segments = tuple(read_segment(recording, collector.add) for recording in recordings)
     metadata = next((recording.metadata for recording in recordings if recording.metadata), {})
     keys = tuple(figures.key(name) for name, figures in sorted(collector.keys.items()))
     first = min((key.first_s for key in keys), default=0.0)

@@ -89,24 +89,18 @@ class Recording:
         return not all(part.whole for part in self.parts)
 
     def __iter__(self) -> Iterator[StoredMessage]:
-        return self.stored()
+        return chain.from_iterable(map(self._stored, self.parts))
 
-    def stored(self, wanted: Callable[[str], bool] = lambda _: True) -> Iterator[StoredMessage]:
-        """Yield the messages without decoding them; ``wanted`` selects them by their key."""
-        return chain.from_iterable(self._stored(part, wanted) for part in self.parts)
-
-    def _stored(self, records: Records, wanted: Callable[[str], bool]) -> Iterator[StoredMessage]:
-        channels: dict[int, tuple[str, type[Message] | None] | None] = {}
+    def _stored(self, records: Records) -> Iterator[StoredMessage]:
+        channels: dict[int, tuple[str, type[Message] | None]] = {}
         start_ns = 0
         for record in records:
             if isinstance(record, McapMessage):
                 channel = channels[record.channel_id]
-                if channel is not None:
-                    yield StoredMessage(*channel, record.log_time + start_ns, record.sequence, record.data)
+                yield StoredMessage(*channel, record.log_time + start_ns, record.sequence, record.data)
             elif isinstance(record, Channel):
                 topic = topics.topic_at(record.topic)
-                channel = record.topic, topic.message_type if topic else None
-                channels[record.id] = channel if wanted(record.topic) else None
+                channels[record.id] = record.topic, topic.message_type if topic else None
                 self.channels.setdefault(record.topic, (record, records.schemas.get(record.schema_id)))
             elif isinstance(record, Metadata) and record.name == RUN:
                 self.metadata = self.metadata or record.metadata
@@ -118,5 +112,5 @@ class Recording:
 def metadata_of(path: Path) -> dict[str, str]:
     """Return the metadata of a recording. Raises ``ConfigError`` if it is not a recording."""
     recording = Recording(path)
-    next(recording.stored(), None)
+    next(iter(recording), None)
     return recording.metadata

@@ -9,14 +9,15 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import msgspec
 
 from ltv_mpc.errors import ConfigError
-from services.recording.reader import Recording, metadata_of
+from services.recording.reader import Recording, StoredMessage, metadata_of
 from services.recording.records import Loss, Records, start_of
 from services.recording.writer import RunWriter
 
@@ -26,16 +27,18 @@ RECOVERY = "recovery"
 _NUMBERED = re.compile(r"(.+)\.(\d+)")
 
 
-class RecoveredSegment(msgspec.Struct, frozen=True, kw_only=True):
-    """Segment that was recovered."""
+class Segment(msgspec.Struct, frozen=True, kw_only=True):
+    """File of a recording, as it was read. Times are vehicle times of publication; None without a message."""
 
     file: str
-    size_bytes: int
-    messages: int
+    bytes: int
     whole: bool
+    messages: int
+    first_s: float | None
+    last_s: float | None
     lost_bytes: int
-    orphans: int  # messages whose channel record is lost
     losses: tuple[Loss, ...]
+    orphans: int  # messages whose channel record is lost
 
 
 class Recovery(msgspec.Struct, frozen=True, kw_only=True):
@@ -44,7 +47,7 @@ class Recovery(msgspec.Struct, frozen=True, kw_only=True):
     file: str
     messages: int
     lost_bytes: int
-    segments: tuple[RecoveredSegment, ...]
+    segments: tuple[Segment, ...]
 
 
 def segments(recording: Path) -> tuple[Path, ...]:
@@ -88,6 +91,27 @@ def recover(parts: Sequence[Path], out: Path) -> Recovery:
     return recovery
 
 
+def read_segment(recording: Recording, take: Callable[[StoredMessage, Recording], None]) -> Segment:
+    """Read a recording of one file to its end; ``take`` receives each message, with the recording."""
+    messages, first_ns, last_ns = 0, math.inf, -math.inf
+    for stored in recording:
+        messages += 1
+        first_ns, last_ns = min(first_ns, stored.t_ns), max(last_ns, stored.t_ns)
+        take(stored, recording)
+    (records,) = recording.parts
+    return Segment(
+        file=records.path.name,
+        bytes=records.size,
+        whole=records.whole,
+        messages=messages,
+        first_s=first_ns / 1e9 if messages else None,
+        last_s=last_ns / 1e9 if messages else None,
+        lost_bytes=records.lost_bytes,
+        losses=tuple(records.losses),
+        orphans=records.orphans,
+    )
+
+
 def next_segment(recording: Path) -> Path:
     """Return the file that a recorder writes: run.mcap, or the next segment if that exists."""
     if not recording.exists():
@@ -122,24 +146,15 @@ def _copied(parts: Sequence[Path], out: Path) -> Recovery:
     metadata = next((found for found in map(metadata_of, parts) if found), {})
     copied = []
     with RunWriter(out, start_ns=start_of(metadata), metadata=metadata, flush_s=None) as writer:
+
+        def copy(stored: StoredMessage, recording: Recording) -> None:
+            writer.copy(stored, *recording.channels[stored.key])
+
         for path in parts:
-            recording, messages = Recording(path), 0
-            for stored in recording.stored():
-                writer.copy(stored, *recording.channels[stored.key])
-                messages += 1
+            recording = Recording(path)
+            copied.append(read_segment(recording, copy))
             for name, values in recording.others.items():
                 writer.add_metadata(name, values)
-            (records,) = recording.parts
-            segment = RecoveredSegment(
-                file=path.name,
-                size_bytes=records.size,
-                messages=messages,
-                whole=records.whole,
-                lost_bytes=records.lost_bytes,
-                orphans=records.orphans,
-                losses=tuple(records.losses),
-            )
-            copied.append(segment)
         losses = {part.file: f"{part.messages} messages, {part.lost_bytes} bytes lost" for part in copied}
         writer.add_metadata(RECOVERY, losses)
     return Recovery(

@@ -9,6 +9,7 @@ received.
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TypeAlias
@@ -202,20 +203,18 @@ def feed(recording: Recording, nodes: Sequence[NodeReplay], is_done: Callable[[]
     for node in nodes:
         for key in node.keys:
             readers.setdefault(key, []).append(node)
-
-    def wanted(key: str) -> bool:
-        return table_key(key) in readers  # also of the sources that publish beside those of the table
-
-    first_ns = last_ns = 0
-    for at, stored in enumerate(recording.stored(wanted), 1):
-        first_ns = stored.t_ns if at == 1 else min(first_ns, stored.t_ns)
-        last_ns = stored.t_ns if at == 1 else max(last_ns, stored.t_ns)
+    first_ns, last_ns = math.inf, -math.inf
+    for at, stored in enumerate(recording, 1):
+        of_key = readers.get(table_key(stored.key))  # also of the sources that publish beside those of the table
+        if of_key is None:
+            continue
+        first_ns, last_ns = min(first_ns, stored.t_ns), max(last_ns, stored.t_ns)
         with contextlib.suppress(WireError):
             header = stored.header()
-            for node in readers.get(table_key(stored.key), ()):
+            for node in of_key:
                 node.take(stored, header, at)
         if is_done():
             break
     for node in nodes:
         node.close()
-    return (last_ns - first_ns) / 1e9
+    return max(last_ns - first_ns, 0) / 1e9

@@ -7,8 +7,8 @@ from collections.abc import Iterable
 from ltv_mpc.errors import one_line
 from services.bus.topics import topic_at
 from services.recording.export import ExportResult
-from services.recording.info import Info, Key, Segment
-from services.recording.recover import Recovery
+from services.recording.info import Info, Key
+from services.recording.recover import Recovery, Segment
 from services.recording.writer import VEHICLE_MODE
 from services.runtime.console import columns, counted, fold
 
@@ -55,7 +55,7 @@ def recovered(recovery: Recovery) -> str:
     lines = []
     for part in recovery.segments:
         state = "complete" if part.whole else f"{part.lost_bytes} bytes lost"
-        lines.append(f"{part.file}: {counted(part.messages, 'message')} saved, {state} of {part.size_bytes}")
+        lines.append(f"{part.file}: {counted(part.messages, 'message')} saved, {state} of {part.bytes}")
         lines += [f"  byte {loss.offset}: {loss.length} bytes: {loss.why}" for loss in part.losses]
         if part.orphans:
             lines.append(f"  {counted(part.orphans, 'message')} left out: their channel record is lost")

@@ -6,7 +6,7 @@ import math
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from rich.console import Console, Group
@@ -46,18 +46,10 @@ def stderr_console() -> Console:
 class RunScreen:
     """Screen of a run: redrawn in place on a terminal, otherwise a line every ``LINE_S``."""
 
-    def __init__(
-        self,
-        title: str,
-        vehicle: Vehicle | None,
-        console: Console | None = None,
-        files: Mapping[str, str] | None = None,
-    ) -> None:
-        """``vehicle`` has the limits of the thrusts; ``files`` are the settings of the run."""
-        self._title = title
+    def __init__(self, title: str, collector: Collector, console: Console | None = None) -> None:
+        """``collector`` knows the vehicle, whose limits bound the bars of the thrusts, and the kind of reference."""
+        self._title, self._collector = title, collector
         self._console = console or stderr_console()
-        self._collector = Collector(vehicle)
-        self._collector.set_files(files or {})
         self._live: Live | None = None
         if not is_plain(self._console):
             self._live = Live(console=self._console, auto_refresh=False, vertical_overflow="crop")

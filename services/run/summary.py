@@ -143,7 +143,7 @@ def _summarise(run_config: RunConfig, recording: Recording) -> Found:
     reported: Counter[str] = Counter()  # rejected messages on record, by process
     statuses: dict[str, dict[int, NodeStatus]] = {}  # last status by process and epoch
     kinds: set[type[Message]] = {*metrics.message_types, ControllerStatus, NodeStatus, RejectedFrame, RunEvent}
-    for stored in recording.stored():
+    for stored in recording:
         for message, header, _ in acceptance.take(stored, kinds):
             match message:
                 case RejectedFrame(node=node) if node in PROCESSES:

@@ -12,6 +12,7 @@ from services.bus.options import BusOptions
 from services.bus.roles import ROUTER
 from services.bus.session import open_session
 from services.bus.topics import BY_TYPE
+from services.reporting.plots.collector import Collector
 from services.reporting.terminal import RunScreen
 from services.runtime.console import Console
 from services.runtime.serve import run_until_stopped
@@ -44,7 +45,7 @@ def silence(monitor: BusMonitor, now_s: float) -> str:
 
 def main(bus: BusOptions, vehicle: str | None) -> int:
     """Show the screen until a signal stops it; with ``vehicle`` also bars of its thrusts. Return the exit code."""
-    known = None if vehicle is None else Vehicle.load(vehicle)
+    collector = Collector(None if vehicle is None else Vehicle.load(vehicle))
     title = bus.namespace or ", ".join(bus.connects_to)
 
     def work(request: StopRequest, say: Say) -> None:
@@ -53,7 +54,7 @@ def main(bus: BusOptions, vehicle: str | None) -> int:
             if not bus.namespace:
                 session.subscribe(f"**/{STATUS}/*", BY_TYPE[NodeStatus], others)
             started_s = time.monotonic()
-            screen = RunScreen(title, known)
+            screen = RunScreen(title, collector)
             try:
                 while not request.wait(UPDATE_S):
                     now_s = time.monotonic()

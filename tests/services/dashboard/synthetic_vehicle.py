@@ -22,7 +22,6 @@ from services.bus.wire import decode
 from services.dashboard import page, serve
 from services.dashboard.access_guard import LOOPBACK, Token, hosts
 from services.dashboard.bus_feed import BusFeed
-from services.dashboard.commands import do
 from services.dashboard.config import About, View
 from services.recording.node_settings import vehicle_of
 from services.runtime.clock import fraction_of, monotonic_us
@@ -166,7 +165,7 @@ def serving(feed: BusFeed, bus: BusOptions) -> Iterator[Served]:
             token,
             allowed=hosts(LOOPBACK, port),
             about=About(name="synthetic descent · paper", report=str(report), again="ltv-mpc sim one"),
-            command=lambda request, t_ns, speed: do(request, bus, t_ns, speed),
+            bus=bus,
             on_view=views.append,
         )
         server = uvicorn.Server(serve.configuration(app))

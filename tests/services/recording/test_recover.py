@@ -23,7 +23,7 @@ from tests.services.recording.recordings import START_NS, chunk, chunks, depth, 
 
 
 def messages(path: Path) -> list[tuple[str, int, bytes]]:
-    return [(line.key, line.t_ns, line.data) for line in Recording(path).stored()]
+    return [(line.key, line.t_ns, line.data) for line in Recording(path)]
 
 
 @pytest.fixture(scope="module")

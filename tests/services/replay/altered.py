@@ -20,7 +20,7 @@ Change = Callable[[StoredMessage, Plain], Iterable[Plain]]
 
 def messages(recording: Path) -> list[tuple[StoredMessage, Plain]]:
     """Return all messages of a file."""
-    return [(stored, msgspec.json.decode(stored.data)) for stored in Recording(recording).stored()]
+    return [(stored, msgspec.json.decode(stored.data)) for stored in Recording(recording)]
 
 
 def rewritten(

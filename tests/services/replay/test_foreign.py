@@ -65,7 +65,7 @@ def test_a_frame_is_found_by_its_checksum_and_decoded_as_it_was_live(signal: Mes
         key, path = key_of(kind, "controller"), tmp_path / f"{i}.mcap"
         with RunWriter(path, start_ns=0, metadata={}) as writer:
             writer.write_plain(key, kind, wire.unpack(payload), 0, wire.crc(payload))
-        (stored,) = Recording(path).stored()
+        (stored,) = Recording(path)
         assert stored.crc == wire.crc(payload)
         entry = InboxEntry(key=key, epoch=header.epoch, sequence=3, crc=stored.crc, received_t_ns=9)
         again = received_message(stored, entry)

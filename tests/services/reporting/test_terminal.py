@@ -64,7 +64,7 @@ FULL = dataclasses.replace(
 
 def drawn(view: LiveView, vehicle: Vehicle | None = PAPER) -> list[str]:
     console = Console(width=80, height=24, file=io.StringIO())
-    screen = RunScreen("a title that is much longer than a line of a terminal " * 3, vehicle, console)
+    screen = RunScreen("a title that is much longer than a line of a terminal " * 3, Collector(vehicle), console)
     screen.update(view)
     screen.close()
     with console.capture() as capture:
@@ -99,7 +99,7 @@ def test_the_screen_says_what_the_messages_hold() -> None:
 def test_a_reason_to_stand_still_fits_a_line_with_the_time_since_it_came() -> None:
     why = "not driving: autopilot in failsafe; end its cause and set MANUAL"
     plans = [replace(FULL.plan, health=Health.DEGRADED, health_why=why, cycle_t_ns=t * S) for t in (20, 40, 61)]
-    screen = RunScreen("a boat", PAPER, console := Console(width=80, height=24, file=io.StringIO()))
+    screen = RunScreen("a boat", Collector(PAPER), console := Console(width=80, height=24, file=io.StringIO()))
     for plan in plans:
         screen.update(dataclasses.replace(FULL, t_ns=plan.cycle_t_ns, plan=plan))
     with console.capture() as capture:
@@ -112,7 +112,7 @@ def test_a_reason_to_stand_still_fits_a_line_with_the_time_since_it_came() -> No
 def test_the_title_is_bold_and_a_thruster_at_its_limit_is_yellow() -> None:
     out = io.StringIO()
     console = Console(file=out, width=80, height=24, force_terminal=True, color_system="standard")
-    console.print(RunScreen("a run", PAPER, console).render(FULL))
+    console.print(RunScreen("a run", Collector(PAPER), console).render(FULL))
     lines = out.getvalue().splitlines()
     assert any("\x1b[1m" in line and "a run" in line for line in lines)
     yellow = {name: any(f"\x1b[33m{name}" in line for line in lines) for name in ("port", "starboard", "vertical")}
@@ -155,7 +155,7 @@ def test_a_pipe_gets_lines_without_control_characters(monkeypatch: pytest.Monkey
         with monkeypatch.context() as patch:
             patch.setenv(variable, "1")
             assert is_plain(terminal)
-    screen = RunScreen("x", PAPER, Console(file=file, width=80))
+    screen = RunScreen("x", Collector(PAPER), Console(file=file, width=80))
     screen.update(FULL)
     screen.update(FULL)  # too soon for another
     screen.say("[bold]a phase")
