@@ -124,7 +124,8 @@ class ModelMonitor:
         self._noise = (self._p.mass_surge * NOISE_MPS) ** 2 if vehicle.identified else None
         self._impulse = ThrustImpulse()
         self._last: _Motion | None = None
-        self._detector = ThrustLossDetector()
+        self.detector = ThrustLossDetector()
+        """Detector with the behaviour of the vehicle so far."""
         # Time of the last publication (ns), and since then missing impulse (N s), turn (N m s), and time (s).
         self._missing: tuple[int | None, Array] = None, np.zeros(3)
         self._quiet_cycles = 0
@@ -142,28 +143,14 @@ class ModelMonitor:
         """True while a loss of thrust has half of the evidence that raises the alarm, and during the alarm."""
         return self.alarm or self.evidence >= 0.5 * ALARM_NATS
 
-    @property
-    def products(self) -> Array | None:
-        """Behaviour of the vehicle so far, (6, 6) (``thrust_loss_detector.py``), a copy; None if unknown."""
-        return self._detector.products
-
-    def restore(self, products: Array) -> None:
-        """Continue from the ``products`` (6, 6) of another monitor of this vehicle.
-
-        Parameters
-        ----------
-        products : (6, 6) products of the other monitor.
-        """
-        self._detector.restore(products)
-
     def restart(self) -> None:
         """Begin with another source of estimates: its motion is not compared with that of the last one."""
         self._last, self._missing, self._quiet_cycles = None, (None, np.zeros(3)), 0
-        self._detector.clear_window()
+        self.detector.clear_window()
 
     def dismiss(self) -> None:
         """Withdraw alarm and weak thruster, and what the motion has shown so far: it was not that of its stamps."""
-        self._detector, self.alarm = ThrustLossDetector(), False
+        self.detector, self.alarm = ThrustLossDetector(), False
         self.weak_thruster.restore((1.0, 1.0))
 
     def add_report(self, applied: Applied) -> None:
@@ -198,7 +185,7 @@ class ModelMonitor:
             or not 0 < motion.t_ns - before.t_ns <= MAX_INTERVAL_S * 1e9
             or (before.learned_sd is None) is not (motion.learned_sd is None)
         ):
-            self._detector.clear_window()
+            self.detector.clear_window()
             return None
         alarm = self.alarm
         self._evaluate(before, motion)
@@ -237,14 +224,14 @@ class ModelMonitor:
         if b.learned_sd is not None:
             a = a._replace(current=b.current)  # a correction of the learned current is not a motion
         row = self._row(a, b)
-        self.evidence, *loss = self._detector.add(row, learn=not self.alarm)
+        self.evidence, *loss = self.detector.add(row, learn=not self.alarm)
         self.loss = loss[0], loss[1]
         self._quiet_cycles = 0 if self.evidence >= 0.5 * ALARM_NATS else self._quiet_cycles + 1
         self.alarm = self.evidence >= ALARM_NATS or (self.alarm and self._quiet_cycles < QUIET_CYCLES)
         weak = self.weak_thruster
-        gain = self._detector.recovery_gain(weak.loss) if weak.is_weak else 0.0
+        gain = self.detector.recovery_gain(weak.loss) if weak.is_weak else 0.0
         if weak.update(b.t_ns, attribute(self.loss) if self.alarm else None, gain):
-            self._detector.clear_window()  # the loss is over
+            self.detector.clear_window()  # the loss is over
         self.alarm |= weak.is_weak
 
     def _row(self, a: _Motion, b: _Motion) -> Row:
