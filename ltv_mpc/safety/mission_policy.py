@@ -190,15 +190,13 @@ class MissionPolicy:
         return HealthState(Health.DEGRADED if reasons else Health.NOMINAL, "; ".join(reasons))
 
     def _set(self, action: MissionAction, why: str) -> None:
-        if action is not self.state.action or why != self.state.why:
-            self.state = msgspec.structs.replace(self.state, action=action, why=why)
+        self.state = msgspec.structs.replace(self.state, action=action, why=why)
 
     def _effective(self, causes: Iterable[Cause]) -> list[Cause]:
         return [cause for cause in causes if cause.name not in self.state.skipped]
 
     def _skip(self, names: tuple[str, ...]) -> None:
-        if names != self.state.skipped:
-            self.state = msgspec.structs.replace(self.state, skipped=names)
+        self.state = msgspec.structs.replace(self.state, skipped=names)
 
     def _unknown_causes(self) -> set[str]:
         """Return the causes of which nothing is known yet: since the start no message of their input has arrived."""
