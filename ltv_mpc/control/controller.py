@@ -253,7 +253,10 @@ class Controller:
             applied = msgspec.structs.replace(applied, t_ns=t_ns)
         self._delay.add_receipt(applied)
         self.prediction.add_report(applied)
+        disagreed = self.actuator_check.disagrees
         self.actuator_check.add(applied)
+        if self.actuator_check.disagrees and not disagreed:
+            self.observer.take_back(self.actuator_check.agreed_ns or applied.t_ns)
         self.vehicle_file_check.fit.add_thrust(applied.t_ns, applied.thrust_N)
         self.prediction.sent.correct(applied.t_ns, applied.command_N)
 
@@ -464,9 +467,6 @@ class Controller:
             self._restart_observer()
         given = self.estimate_gate.accepted
         check.overridden = override is not None
-        if check.began_ns is not None:
-            self.observer.take_back(check.began_ns)
-            check.began_ns = None
         if estimate is not None and given is not None:
             self._vertical.depth_limits.update(estimate)
             if check.learns:

@@ -23,8 +23,8 @@ from ltv_mpc.messages import Estimate, Health
 from ltv_mpc.node import DEFAULT_SOURCE, ReceivedMessage
 from ltv_mpc.safety.estimate_filter import standard_deviation
 from ltv_mpc.safety.health import MAX_STAMP_AHEAD_NS, NOMINAL, HealthState
-from ltv_mpc.safety.input_age import InputMonitor
-from ltv_mpc.safety.source_selector import MAX_SILENCE_NS, Judgement, Source, SourceSelector
+from ltv_mpc.safety.input_age import MAX_SILENCE_NS, InputMonitor
+from ltv_mpc.safety.source_selector import Judgement, Source, SourceSelector
 
 SIGMAS = 3.0
 UNKNOWN_SD_M, UNKNOWN_SD_RAD = 0.5, 0.1

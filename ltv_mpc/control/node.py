@@ -47,7 +47,7 @@ from ltv_mpc.messages import (
 from ltv_mpc.node import Cycle, Inbox, ReceivedMessage, Stopwatch, no_stopwatch
 from ltv_mpc.references import Reference
 from ltv_mpc.safety.command_arbiter import MANUAL_TIMEOUT_NS, CommandArbiter
-from ltv_mpc.safety.health import NOMINAL, HealthState, plan_timeout_ns, report_health, worst
+from ltv_mpc.safety.health import NOMINAL, SILENT_ACTUATORS, HealthState, plan_timeout_ns, worst
 from ltv_mpc.safety.input_age import InputMonitor
 from ltv_mpc.safety.mission_policy import MissionPolicy
 from ltv_mpc.safety.model_monitor import ModelMonitor
@@ -228,9 +228,10 @@ class ControllerNode:
 
     def _states(self, t_ns: int) -> dict[str, HealthState]:
         """Return the health by each input other than estimate's age and mission policy, by name."""
-        reports, ages = self.reports.age, self.controller.config.ages
+        report = self.reports.report(ACTUATORS, t_ns, self.controller.config.ages)
+        silent = report.age_ns is not None and not report.alive
         return {
-            "actuators": report_health(silent_ns=reports.silent_ns(t_ns), period_ns=reports.median_ns, ages=ages),
+            "actuators": HealthState(Health.DEGRADED, SILENT_ACTUATORS) if silent else NOMINAL,
             "plans": self._plan_rejections.health(t_ns),
             "commands": self.controller.actuator_check.health,
             "clock": self._health_of_clock(t_ns),
@@ -279,7 +280,7 @@ class ControllerNode:
         elif estimate is not None:
             observer = self.controller.observer
             rates_agree = self.controller.estimate_gate.filter.health is NOMINAL
-            if self.controller.vehicle_file_check.stamps_are_late or not rates_agree:
+            if self.controller.vehicle_file_check.late_s or not rates_agree:
                 monitor.dismiss()
             check = monitor.update(estimate, observer.current, observer.coefficients)
         self._set_thrust_shares()
@@ -308,7 +309,7 @@ class ControllerNode:
             self._commands.set_fence(state.fence_toml)
         self._commands.arm_continues = state.arm_continues
         if state.model_products is not None:
-            self._model_monitor.restore(state.model_products)
+            self._model_monitor.detector.restore(state.model_products)
         self._model_monitor.weak_thruster.restore(state.thrust_shares)
         self._set_thrust_shares()
         self.controller.restore(state, t_ns)
@@ -337,7 +338,7 @@ class ControllerNode:
             reference_toml=toml,
             fence_toml=self._commands.fence_toml,
             arm_continues=self._commands.arm_continues,
-            model_products=self._model_monitor.products,
+            model_products=self._model_monitor.detector.products,
             thrust_shares=self._model_monitor.weak_thruster.shares,
             estimate=self.sources.newest,
             source=self.sources.selector.forced,

@@ -17,7 +17,7 @@ not started yet. There is a clock when a command arrives: without one its proces
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import NamedTuple
 
 from ltv_mpc.control.controller import Controller
@@ -75,7 +75,7 @@ def failures(
     applied: Applied | None,
     reports: Mapping[str, InputReport],
     states: Mapping[str, HealthState],
-    causes: list[Cause],
+    causes: Iterable[Cause],
 ) -> list[Failure]:
     """Return the checks that fail.
 

@@ -68,10 +68,8 @@ class ActuatorCheck:
         self._plans = PlanQueue(vehicle.plan_timeout_s)  # that were sent
         self._since_ns: int | None = None  # first report of a contradiction
         self._until_ns = 0  # its last report
-        self._agreed_ns = 0  # last report that agreed
-        self.began_ns: int | None = None
-        """Time of the last report before a contradiction; the controller clears it when it has taken back what it has
-        learned since."""
+        self.agreed_ns = 0
+        """Time of the last report that agreed, outside a contradiction; 0 before the first."""
         self.overridden = False
         """The plans of the last cycle were an override's."""
         self.health = NOMINAL
@@ -141,7 +139,7 @@ class ActuatorCheck:
             if self._since_ns is not None and t_ns - self._until_ns >= agreed_ns:
                 self._since_ns, self.health = None, NOMINAL
             if self._since_ns is None:
-                self._agreed_ns = t_ns
+                self.agreed_ns = t_ns
             return
         if t_ns - self._contradicted(t_ns) > CONTRADICTED_NS and self.health is NOMINAL:
             reported, asked = self._text(command_N), self._text(plans[0].thrust_at(t_ns))
@@ -150,9 +148,7 @@ class ActuatorCheck:
 
     def _contradicted(self, t_ns: int) -> int:
         """Note a contradiction; return the time of its first report."""
-        if self._since_ns is None:
-            self._since_ns = t_ns
-            self.began_ns = self._agreed_ns or t_ns
+        self._since_ns = t_ns if self._since_ns is None else self._since_ns
         self._until_ns = t_ns
         return self._since_ns
 

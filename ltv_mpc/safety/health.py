@@ -133,20 +133,6 @@ def health(*, age_ns: int | None, period_ns: int, ages: Ages = DEFAULT_AGES) -> 
     return HealthState(Health.FAILSAFE, OLD_ESTIMATES)
 
 
-def report_health(*, silent_ns: int | None, period_ns: int, ages: Ages = DEFAULT_AGES) -> HealthState:
-    """Return the health of the controller by the reports of the actuators.
-
-    Parameters
-    ----------
-    silent_ns : time since the last report (ns); None if there was none, which is allowed.
-    period_ns : period of the reports (ns); 0 if unknown.
-    ages : thresholds.
-    """
-    if silent_ns is None or silent_ns <= timeout_ns(DEGRADED_PERIODS, period_ns, ages.degraded_s):
-        return NOMINAL
-    return HealthState(Health.DEGRADED, SILENT_ACTUATORS)
-
-
 def plan_timeout_ns(period_ns: int) -> int:
     """Return the time (ns) after its last plan for which a commander counts as present."""
     return max(round(REPLACEMENTS_MISSING * period_ns), MIN_PLAN_TIMEOUT_NS)

@@ -22,6 +22,19 @@ from ltv_mpc.safety.health import DEFAULT_AGES, DEGRADED_PERIODS, MAX_STAMP_AHEA
 SPACINGS = 9
 """Number of spacings in the median, so that a lost message or a burst does not change the period."""
 
+MIN_SILENCE_NS, MAX_SILENCE_NS = 500_000_000, 1_500_000_000
+"""Bounds of the silence after which another source may replace the one in use."""
+
+
+def silence_ns(period_ns: int) -> int:
+    """Return the silence (ns) after which another source may replace the one in use.
+
+    Parameters
+    ----------
+    period_ns : period of the source in use (ns); 0 if unknown.
+    """
+    return min(max(DEGRADED_PERIODS * period_ns, MIN_SILENCE_NS), MAX_SILENCE_NS)
+
 
 class InputAge:
     """Newest message of an input by its stamp and its arrival, and the period of the input."""

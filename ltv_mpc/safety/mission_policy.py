@@ -21,7 +21,7 @@ first ``arm`` and again at each ``follow``.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Annotated, NamedTuple, TypeAlias
 
 import msgspec
@@ -156,7 +156,7 @@ class MissionPolicy:
         t_ns : now (ns).
         armed : False: no action is latched.
         """
-        causes = self.causes(t_ns)
+        causes = list(self.causes(t_ns))
         present = {cause.name for cause in causes} | self._unknown_causes()
         self._skip(tuple(name for name in self.state.skipped if name in present))
         for cause in self._effective(causes) if armed else ():
@@ -176,15 +176,6 @@ class MissionPolicy:
             self._set(GO_ON, "")
         return "; ".join(present)
 
-    def causes(self, t_ns: int) -> list[Cause]:
-        """Return the present causes.
-
-        Parameters
-        ----------
-        t_ns : now (ns).
-        """
-        return list(self._causes(t_ns))
-
     def health(self, t_ns: int) -> HealthState:
         """Return the health by the action in force and by the present causes.
 
@@ -199,22 +190,26 @@ class MissionPolicy:
         return HealthState(Health.DEGRADED if reasons else Health.NOMINAL, "; ".join(reasons))
 
     def _set(self, action: MissionAction, why: str) -> None:
-        if action is not self.state.action or why != self.state.why:
-            self.state = msgspec.structs.replace(self.state, action=action, why=why)
+        self.state = msgspec.structs.replace(self.state, action=action, why=why)
 
-    def _effective(self, causes: list[Cause]) -> list[Cause]:
+    def _effective(self, causes: Iterable[Cause]) -> list[Cause]:
         return [cause for cause in causes if cause.name not in self.state.skipped]
 
     def _skip(self, names: tuple[str, ...]) -> None:
-        if names != self.state.skipped:
-            self.state = msgspec.structs.replace(self.state, skipped=names)
+        self.state = msgspec.structs.replace(self.state, skipped=names)
 
     def _unknown_causes(self) -> set[str]:
         """Return the causes of which nothing is known yet: since the start no message of their input has arrived."""
         arrivals = {"battery": self._battery, "leak": self._leak}
         return {name for name, input_ in arrivals.items() if input_.stamp_ns is None}
 
-    def _causes(self, t_ns: int) -> Iterator[Cause]:
+    def causes(self, t_ns: int) -> Iterator[Cause]:
+        """Yield the present causes.
+
+        Parameters
+        ----------
+        t_ns : now (ns).
+        """
         settings, start_ns = self._settings, self.state.start_t_ns
         limit_s = settings.operator_timeout_s
         known = self.state.operator_t_ns is not None

@@ -92,21 +92,24 @@ PUBLICATION_PERIOD_NS = 1_000_000_000
 class _Motion(NamedTuple):
     """Motion of one estimate, and the impulses of all reports up to its time."""
 
-    t_ns: int
-    velocity: Pair  # over ground, north and east
-    r: float
-    heading: float
+    estimate: Estimate
     current: Pair
     impulse: Pair
-    variance: Pair  # of a velocity component, of the yaw rate
     learned_sd: float | None  # of the current (m/s); None if the estimate contains the current
 
     @property
     def through_water(self) -> Pair:
         """Surge and sway velocity through the water (m/s)."""
-        cos, sin = math.cos(self.heading), math.sin(self.heading)
-        vn, ve = self.velocity[0] - self.current[0], self.velocity[1] - self.current[1]
+        e, (cn, ce) = self.estimate, self.current
+        cos, sin = math.cos(e.heading_rad), math.sin(e.heading_rad)
+        vn, ve = e.velocity_north_mps - cn, e.velocity_east_mps - ce
         return cos * vn + sin * ve, cos * ve - sin * vn
+
+    @property
+    def yaw_variance(self) -> float:
+        """Variance of the yaw rate (rad^2/s^2); 0 if unknown."""
+        P = self.estimate.covariance
+        return 0.0 if P is None else float(P[5, 5])
 
 
 class ModelMonitor:
@@ -124,7 +127,8 @@ class ModelMonitor:
         self._noise = (self._p.mass_surge * NOISE_MPS) ** 2 if vehicle.identified else None
         self._impulse = ThrustImpulse()
         self._last: _Motion | None = None
-        self._detector = ThrustLossDetector()
+        self.detector = ThrustLossDetector()
+        """Detector with the behaviour of the vehicle so far."""
         # Time of the last publication (ns), and since then missing impulse (N s), turn (N m s), and time (s).
         self._missing: tuple[int | None, Array] = None, np.zeros(3)
         self._quiet_cycles = 0
@@ -142,28 +146,14 @@ class ModelMonitor:
         """True while a loss of thrust has half of the evidence that raises the alarm, and during the alarm."""
         return self.alarm or self.evidence >= 0.5 * ALARM_NATS
 
-    @property
-    def products(self) -> Array | None:
-        """Behaviour of the vehicle so far, (6, 6) (``thrust_loss_detector.py``), a copy; None if unknown."""
-        return self._detector.products
-
-    def restore(self, products: Array) -> None:
-        """Continue from the ``products`` (6, 6) of another monitor of this vehicle.
-
-        Parameters
-        ----------
-        products : (6, 6) products of the other monitor.
-        """
-        self._detector.restore(products)
-
     def restart(self) -> None:
         """Begin with another source of estimates: its motion is not compared with that of the last one."""
         self._last, self._missing, self._quiet_cycles = None, (None, np.zeros(3)), 0
-        self._detector.clear_window()
+        self.detector.clear_window()
 
     def dismiss(self) -> None:
         """Withdraw alarm and weak thruster, and what the motion has shown so far: it was not that of its stamps."""
-        self._detector, self.alarm = ThrustLossDetector(), False
+        self.detector, self.alarm = ThrustLossDetector(), False
         self.weak_thruster.restore((1.0, 1.0))
 
     def add_report(self, applied: Applied) -> None:
@@ -190,21 +180,21 @@ class ModelMonitor:
         if model is not None:
             self._p = Coefficients(*model.tolist())
         motion, before = self._motion(estimate, learned), self._last
-        if motion is None or (before is not None and motion.t_ns == before.t_ns):
+        if motion is None or (before is not None and estimate.t_ns == before.estimate.t_ns):
             return None
         self._last = motion
         if (
             before is None
-            or not 0 < motion.t_ns - before.t_ns <= MAX_INTERVAL_S * 1e9
+            or not 0 < estimate.t_ns - before.estimate.t_ns <= MAX_INTERVAL_S * 1e9
             or (before.learned_sd is None) is not (motion.learned_sd is None)
         ):
-            self._detector.clear_window()
+            self.detector.clear_window()
             return None
         alarm = self.alarm
         self._evaluate(before, motion)
         since_ns = self._missing[0]
-        due = since_ns is None or not 0 <= motion.t_ns - since_ns < PUBLICATION_PERIOD_NS  # also if time went back
-        return self._message(motion.t_ns) if due or self.alarm is not alarm else None
+        due = since_ns is None or not 0 <= estimate.t_ns - since_ns < PUBLICATION_PERIOD_NS  # also if time went back
+        return self._message(estimate.t_ns) if due or self.alarm is not alarm else None
 
     def _motion(self, e: Estimate, learned: Belief | None) -> _Motion | None:
         """Return the motion of an estimate; None without reports up to its time or without any current."""
@@ -219,71 +209,61 @@ class ModelMonitor:
             learned_sd = math.sqrt(0.5 * float(np.trace(learned[1])))
         else:
             return None
-        P = e.covariance
-        variance = velocity_variance(e), 0.0 if P is None else float(P[5, 5])
-        return _Motion(
-            e.t_ns,
-            (e.velocity_north_mps, e.velocity_east_mps),
-            e.yaw_rate_radps,
-            e.heading_rad,
-            (cn, ce),
-            impulse,
-            variance,
-            learned_sd,
-        )
+        return _Motion(e, (cn, ce), impulse, learned_sd)
 
     def _evaluate(self, a: _Motion, b: _Motion) -> None:
         """Add the missing impulses from ``a`` to ``b`` to the detector, and update the alarm and the weak thruster."""
         if b.learned_sd is not None:
             a = a._replace(current=b.current)  # a correction of the learned current is not a motion
         row = self._row(a, b)
-        self.evidence, *loss = self._detector.add(row, learn=not self.alarm)
+        self.evidence, *loss = self.detector.add(row, learn=not self.alarm)
         self.loss = loss[0], loss[1]
         self._quiet_cycles = 0 if self.evidence >= 0.5 * ALARM_NATS else self._quiet_cycles + 1
         self.alarm = self.evidence >= ALARM_NATS or (self.alarm and self._quiet_cycles < QUIET_CYCLES)
         weak = self.weak_thruster
-        gain = self._detector.recovery_gain(weak.loss) if weak.is_weak else 0.0
-        if weak.update(b.t_ns, attribute(self.loss) if self.alarm else None, gain):
-            self._detector.clear_window()  # the loss is over
+        gain = self.detector.recovery_gain(weak.loss) if weak.is_weak else 0.0
+        if weak.update(b.estimate.t_ns, attribute(self.loss) if self.alarm else None, gain):
+            self.detector.clear_window()  # the loss is over
         self.alarm |= weak.is_weak
 
     def _row(self, a: _Motion, b: _Motion) -> Row:
         """Return the row of the detector for the motion from ``a`` to ``b``."""
         p = self._p
-        dt = (b.t_ns - a.t_ns) * 1e-9
+        before, after = a.estimate, b.estimate
+        dt, ra, rb = (after.t_ns - before.t_ns) * 1e-9, before.yaw_rate_radps, after.yaw_rate_radps
         half = 0.5 * dt
         (au, av), (bu, bv) = a.through_water, b.through_water
         i1, i2 = b.impulse[0] - a.impulse[0], b.impulse[1] - a.impulse[1]
         linear, quadratic = p.linear_surge, p.quadratic_surge
         drag = half * ((linear + quadratic * abs(au)) * au + (linear + quadratic * abs(bu)) * bu)
         linear, quadratic = p.linear_yaw, p.quadratic_yaw
-        twist = half * ((linear + quadratic * abs(a.r)) * a.r + (linear + quadratic * abs(b.r)) * b.r)
-        coriolis = half * p.mass_sway * (av * a.r + bv * b.r)
+        twist = half * ((linear + quadratic * abs(ra)) * ra + (linear + quadratic * abs(rb)) * rb)
+        coriolis = half * p.mass_sway * (av * ra + bv * rb)
         munk = half * (p.mass_surge - p.mass_sway + p.added_munk) * (au * av + bu * bv)
-        heading = a.heading + 0.5 * math.remainder(b.heading - a.heading, math.tau)
+        heading = before.heading_rad + 0.5 * math.remainder(after.heading_rad - before.heading_rad, math.tau)
         dn, de = b.current[0] - a.current[0], b.current[1] - a.current[1]
         shear = p.dry_mass * (math.cos(heading) * dn + math.sin(heading) * de)
         z_x = i1 + i2 - drag + coriolis - shear - p.mass_surge * (bu - au)
-        z_n = i1 * p.arm_port - i2 * p.arm_starboard - twist + munk - p.inertia_yaw * (b.r - a.r)
+        z_n = i1 * p.arm_port - i2 * p.arm_starboard - twist + munk - p.inertia_yaw * (rb - ra)
         self._missing[1][:] += z_x, z_n, dt
         s_x = fresh = cross = lift = 0.0
         current_sd = b.learned_sd or 0.0
         unmodelled = 0.0
         if self._noise is not None:
             if b.learned_sd is None:
-                of_estimates = p.mass_surge**2 * velocity_change_variance(a.variance[0], b.variance[0], dt)
-                s_x = 1.0 / math.sqrt(self._noise + of_estimates)
-            fresh = 1.0 if b.variance[1] > NOISE_RADPS * NOISE_RADPS else 0.0
+                s2 = velocity_change_variance(velocity_variance(before), velocity_variance(after), dt)
+                s_x = 1.0 / math.sqrt(self._noise + p.mass_surge**2 * s2)
+            fresh = 1.0 if b.yaw_variance > NOISE_RADPS * NOISE_RADPS else 0.0
         else:
             current_sd = GIVEN_CURRENT_SD_MPS if b.learned_sd is None else b.learned_sd
             mass, arm = p.mass_surge + p.mass_sway, 0.5 * (p.arm_port + p.arm_starboard)
             cross = half * mass * (au * av + bu * bv)
-            lift = half * mass * arm * (abs(au) * a.r + abs(bu) * b.r)
+            lift = half * mass * arm * (abs(au) * ra + abs(bu) * rb)
             of_thrust = p.arm_port * abs(i1) + p.arm_starboard * abs(i2)
-            of_motion = abs(twist) + mass * abs(bu) * (abs(bv) + arm * abs(b.r)) * dt
+            of_motion = abs(twist) + mass * abs(bu) * (abs(bv) + arm * abs(rb)) * dt
             unmodelled = OF_THRUST * of_thrust + OF_MOTION * of_motion
         unmodelled += abs(p.mass_surge - p.mass_sway) * (abs(bu) + abs(bv)) * current_sd * dt
-        yaw_noise = p.inertia_yaw**2 * (NOISE_RADPS**2 + a.variance[1] + b.variance[1])
+        yaw_noise = p.inertia_yaw**2 * (NOISE_RADPS**2 + a.yaw_variance + b.yaw_variance)
         yaw_noise += 2.0 * UNMODELLED_TIME_S / dt * unmodelled * unmodelled
         s_n = 1.0 / math.sqrt(yaw_noise)
         return (

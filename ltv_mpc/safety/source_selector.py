@@ -24,11 +24,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from ltv_mpc.bounded import remember
-from ltv_mpc.safety.health import DEGRADED_PERIODS
-from ltv_mpc.safety.input_age import InputAge
-
-MIN_SILENCE_NS, MAX_SILENCE_NS = 500_000_000, 1_500_000_000
-"""Bounds of the silence after which the active source may be replaced."""
+from ltv_mpc.safety.input_age import InputAge, silence_ns
 
 PREDICTION_NS = 10_000_000_000
 """Silence after which the prediction does not count any more."""
@@ -193,12 +189,8 @@ class SourceSelector:
             return consistent.lasts(RUN_NS)
         if self._place(source) < self._place(active) and agreeing.lasts(RETURN_NS):
             return True
-        return silent_ns >= self._silence_ns and agreeing.lasts(RUN_NS)
+        return silent_ns >= silence_ns(self._age.median_ns) and agreeing.lasts(RUN_NS)
 
     def _place(self, source: Source) -> int:
         """Return the place of a source in the order."""
         return -1 if source.name == self.forced else self._order.get(source.name, len(self._order))
-
-    @property
-    def _silence_ns(self) -> int:
-        return min(max(DEGRADED_PERIODS * self._age.median_ns, MIN_SILENCE_NS), MAX_SILENCE_NS)

@@ -9,15 +9,15 @@ their noise e:
     phi_3          regressor of the drag
     phi_4, phi_5   regressors of moments that the model may not contain; zero if the vehicle is identified
 
-The unknowns l_1 = c + s, l_2 = c - s and b are the constant mismatch between vehicle and model. To first order, with
-the relative errors m of the mass, t of the thrust and q of the drag, they are
+The unknowns l_1, l_2 and b are the constant mismatch between vehicle and model. To first order, with the relative
+errors m of the mass, t of the thrust and q of the drag, and half of the difference s of the thrusters, they are
 
-    c = m - t,   b = q - m
+    l_1 = m - t + s,   l_2 = m - t - s,   b = q - m
 
 A loss adds d_1, d_2 from 0 to 1 to l_1, l_2 from some cycle among the last thirty on. The cycles before that cycle also
-inform x = [c, s, b, g_1, g_2]. They count with a reduced weight, because their noise is not quite white:
+inform x = [l_1, l_2, b, g_1, g_2]. They count with a reduced weight, because their noise is not quite white:
 
-    f(x, d) = |z - phi' (l + d, b, g)|^2 over the window + PAST_WEIGHT |z - phi' (l, b, g)|^2 over the cycles before
+    f(x, d) = |z - phi' (l + d, b, g)|^2 over the window + PAST_WEIGHT |z - phi' x|^2 over the cycles before
               + x' P^-1 x + |d|^2 / PRIOR_SD^2
     evidence = max over windows of (min over x of f(x, 0) - min over x, d of f(x, d)) / 2       nats
 
@@ -41,7 +41,7 @@ MIN_LOSS = 0.1
 """Smallest share that counts as lost. The model's error is as large, and it seems to change with the current's."""
 
 DIFFERENCE_SD = 0.02
-"""Prior standard deviation of s, half of the difference of the thrust errors: both thrusters are of one make."""
+"""Prior standard deviation of s: both thrusters are of one make."""
 
 MAX_SIGMAS = 3.0
 """Bound on the missing impulse of one cycle, in standard deviations, beyond what mismatch explains."""
@@ -75,21 +75,6 @@ rate is new in each estimate.
 
 _MAX_MISMATCH = np.array([0.205, 0.205, 0.222, 1.0, 1.0])
 """Largest mismatch that is no outlier, in l_1, l_2, b, g_1, g_2: all of 10 %, and 5 % between the thrusters."""
-
-_MIX = np.array(
-    [
-        [1, 0, 0, 0, 0, 0],
-        [0, 1, 1, 0, 0, 0],
-        [0, 1, -1, 0, 0, 0],
-        [0, 0, 0, 1, 0, 0],
-        [0, 0, 0, 0, 1, 0],
-        [0, 0, 0, 0, 0, 1],
-        [0, 1, 0, 0, 0, 0],
-        [0, 0, 1, 0, 0, 0],
-    ],
-    dtype=np.float64,
-)
-"""Regressors of c, s, b, g_1, g_2, d_1, d_2 (rows 1 to 7) in terms of z and the five phi (columns); row 0 is z."""
 
 
 class ThrustLossDetector:
@@ -151,10 +136,10 @@ class ThrustLossDetector:
         ----------
         loss : lost shares of port and starboard.
         """
-        (F,) = quadratic_form(self._past.reshape(1, -1), np.zeros((1, SIZE * SIZE)))
+        (F,) = quadratic_form(self._past[None], np.zeros((1, SIZE, SIZE)))
         x = np.linalg.solve(F[1:6, 1:6], F[1:6, 0])
         ((z, *phi),) = _clipped(self._rows[:1], 1.0)
-        residual = z - x @ _MIX[1:6, 1:] @ phi
+        residual = z - x @ phi
         gain = 0.5 * float(np.sum((residual - loss @ np.array(phi[:2])) ** 2 - residual**2))
         return min(gain, MAX_GAIN_NATS)
 
@@ -184,9 +169,9 @@ def _quadratic_forms(rows: Array, past: Array, explained: float) -> Array:
     y = _clipped(rows, explained)
     if rows[:, SIZE, 1].all():
         y[:, :, 1] = whitened(y[:, :, 1])
-    products = (y @ y.transpose(0, 2, 1)).reshape(-1, SIZE * SIZE)
-    within = np.tri(len(rows))[[length - 1 for length in WINDOWS if length <= len(rows)]] @ products
-    return quadratic_form(within, past.ravel() + products.sum(axis=0) - within)
+    products = (y @ y.mT).cumsum(axis=0)
+    within = products[[length - 1 for length in WINDOWS if length <= len(rows)]]
+    return quadratic_form(within, past + products[-1] - within)
 
 
 def losses(forms: Array) -> Array:
@@ -209,24 +194,27 @@ def losses(forms: Array) -> Array:
     return np.concatenate([gains[..., None], d], axis=2)
 
 
-_WITHOUT_LOSS = _MIX * (np.arange(8.0) < 6.0)[:, None]
-_OF_WINDOW, _OF_PAST = np.kron(_MIX, _MIX).T, PAST_WEIGHT * np.kron(_WITHOUT_LOSS, _WITHOUT_LOSS).T
-"""Coefficients of the entries of F in the products within a window, and before it, where d does not act."""
+REGRESSORS = np.array([0, 1, 2, 3, 4, 5, 1, 2])
+"""Place of z and of the regressors of l_1, l_2, b, g_1, g_2, d_1, d_2 among z and the five phi."""
 
 _PRIOR = np.zeros((8, 8))
-_PRIOR[1:, 1:] = np.diag([0.0, DIFFERENCE_SD**-2.0, 0.0, *[PRIOR_SD**-2.0] * 4])
-_PRIOR[1:4:2, 1:4:2] = np.linalg.inv(MISMATCH_SD**2 * np.array([[2.0, -1.0], [-1.0, 2.0]]))  # of c and b
+_PRIOR[1:4, 1:4] = np.linalg.inv(
+    MISMATCH_SD**2 * np.array([[2.0, 2.0, -1.0], [2.0, 2.0, -1.0], [-1.0, -1.0, 2.0]])
+    + DIFFERENCE_SD**2 * np.array([[1.0, -1.0, 0.0], [-1.0, 1.0, 0.0], [0.0, 0.0, 0.0]])
+)
+_PRIOR[4:, 4:] = PRIOR_SD**-2.0 * np.eye(4)
 
 
 def quadratic_form(window: Array, past: Array) -> Array:
-    """Return F (W, 8, 8) with f = [1, -x]' F [1, -x], x = [c, s, b, g_1, g_2, d_1, d_2].
+    """Return F (W, 8, 8) with f = [1, -x, -d]' F [1, -x, -d].
 
     Parameters
     ----------
-    window : (W, 36) products (6, 6) of z and the five phi within each window.
-    past : (W, 36) the same before it.
+    window : (W, 6, 6) products of z and the five phi within each window.
+    past : (W, 6, 6) the same before it, where d does not act.
     """
-    forms: Array = (window @ _OF_WINDOW + past @ _OF_PAST).reshape(-1, 8, 8) + _PRIOR
+    forms: Array = window[:, REGRESSORS][:, :, REGRESSORS] + _PRIOR
+    forms[:, :SIZE, :SIZE] += PAST_WEIGHT * past
     return forms
 
 

@@ -74,14 +74,12 @@ class VehicleFileCheck:
         self._late_s = 0.0  # delay that is named
 
     @property
-    def stamps_are_late(self) -> bool:
-        """True while the alarm is that of late stamps: the motion then says nothing of the thrust, either."""
-        return LATE in self.why
-
-    @property
     def late_s(self) -> float:
-        """Age of the estimates beyond their stamps that is named (s); 0 if none is."""
-        return self._late_s if self.stamps_are_late else 0.0
+        """Age of the estimates beyond their stamps that is named (s); 0 if none is.
+
+        While it is named, the motion says nothing of the thrust, either.
+        """
+        return self._late_s if LATE in self.why else 0.0
 
     def add(self, estimate: Estimate) -> None:
         """Add an estimate to the fit.

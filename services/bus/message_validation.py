@@ -12,7 +12,7 @@ from ltv_mpc.messages import Estimate, Message, Plan, RejectedFrame
 from ltv_mpc.validation import ReasonCounts
 from services.bus.mailbox import Frame
 from services.bus.rate_limit import RateLimit
-from services.bus.sequence_check import SequenceCheck, silence_us
+from services.bus.sequence_check import SequenceCheck
 from services.bus.topics import OPERATOR, Topic
 from services.bus.wire import Header, WireError, crc, message_at, unpack
 
@@ -69,7 +69,7 @@ class MessageValidator:
         """Check epoch and sequence number of a header (``SequenceCheck.check``). Raises ``WireError``."""
         if topic.written_by == OPERATOR or topic.message_type in SHARED:
             key = f"{key}@{header.epoch}"
-        self._order.check(key, header, received_us, silence_us(topic.period_ns))
+        self._order.check(key, header, received_us, topic.period_ns)
 
     def reject(self, reason: str) -> None:
         """Count the message accepted last as rejected: its reader found that it contradicts what the reader knows."""

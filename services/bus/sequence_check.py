@@ -15,6 +15,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from ltv_mpc.bounded import remember
+from ltv_mpc.safety.input_age import silence_ns
 from services.bus.wire import Header, WireError
 
 SECOND_SOURCE = "second source"
@@ -39,14 +40,6 @@ MAX_FIRST = 10
 MAX_SOURCES = 1000
 """Largest number of keys, and of former epochs of one key, that are remembered; beyond it the oldest is forgotten."""
 
-MIN_SILENCE_US, MAX_SILENCE_US = 500_000, 1_500_000
-SILENT_PERIODS = 3
-
-
-def silence_us(period_ns: int) -> int:
-    """Return the silence after which another source takes over a key whose messages have this period."""
-    return min(max(SILENT_PERIODS * period_ns // 1000, MIN_SILENCE_US), MAX_SILENCE_US)
-
 
 @dataclass(slots=True)
 class _Source:
@@ -66,18 +59,19 @@ class SequenceCheck:
         self.dropped = 0  # messages that were skipped, on all keys
         self._sources: dict[str, _Source] = {}
 
-    def check(self, key: str, header: Header, received_us: int, silent_us: int = MIN_SILENCE_US) -> None:
+    def check(self, key: str, header: Header, received_us: int, period_ns: int = 0) -> None:
         """Check epoch and sequence number against the last header accepted on ``key``.
 
-        ``silent_us`` is the silence after which another source takes over. Raises ``WireError`` if the header is of a
-        second source, or its sequence number is old, duplicated or implausibly far ahead.
+        ``period_ns`` is the period of the key, after which ``silence_ns`` lets another source take over. Raises
+        ``WireError`` if the header is of a second source, or its sequence number is old, duplicated or implausibly far
+        ahead.
         """
         source = self._sources.get(key)
         remember(self._sources, key, source or _Source(header.epoch, header.sequence, received_us), MAX_SOURCES)
         if source is None:
             return
         another = header.epoch != source.epoch
-        if another and 0 <= received_us - source.received_us < silent_us:
+        if another and 0 <= received_us - source.received_us < silence_ns(period_ns) // 1000:
             raise WireError(f"{SECOND_SOURCE}: epoch {header.epoch} while epoch {source.epoch} publishes")
         last = source.former.get(header.epoch, -1) if another else source.sequence
         skipped = header.sequence - last - 1

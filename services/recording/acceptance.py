@@ -16,11 +16,11 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from ltv_mpc.bounded import remember
 from ltv_mpc.messages import Applied, Clock, ControllerStatus, Estimate, Message, NodeStatus, Plan
-from ltv_mpc.safety.input_age import InputMonitor
+from ltv_mpc.safety.input_age import InputMonitor, silence_ns
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.message_validation import SHARED
 from services.bus.roles import ANYONE, DISPLAY, ROLES
-from services.bus.sequence_check import FAR_AHEAD, SECOND_SOURCE, SequenceCheck, silence_us
+from services.bus.sequence_check import FAR_AHEAD, SECOND_SOURCE, SequenceCheck
 from services.bus.topics import OPERATOR, Topic, topic_at
 from services.bus.wire import Header, WireError, message_at
 from services.recording.loss_accounting import LossAccounting
@@ -84,7 +84,7 @@ class Acceptance:
         single = kind not in SHARED and writer not in MANY_SOURCES
         if single:
             active, at_us = self._writers.get(writer, (epoch, 0))
-            if active != epoch and received_us - at_us < silence_us(topic.period_ns):
+            if active != epoch and received_us - at_us < silence_ns(topic.period_ns) // 1000:
                 return f"{SECOND_SOURCE}: epoch {epoch} while epoch {active} publishes"
         try:
             self._order.check(f"{key}@{epoch}", header, received_us)

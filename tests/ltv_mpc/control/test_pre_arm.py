@@ -188,7 +188,7 @@ def test_actuators_that_another_one_drives_are_a_warning_when_arming():
     assert craft.command(Action.ARM, report(craft.t_ns + PERIOD_NS, (20.0, 20.0, 0.0))) == ""
     warning = "commands: the actuators command 20.0 / 20.0 / 0.0 N, the plan in force "
     assert any(text.startswith(f"warning: {warning}") for text in craft.answer.warnings)
-    assert craft.node._model_monitor.products is None  # nothing is learned
+    assert craft.node._model_monitor.detector.products is None  # nothing is learned
 
 
 def test_a_reference_beyond_reach_is_refused_at_its_start():

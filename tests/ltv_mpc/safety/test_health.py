@@ -7,7 +7,7 @@ import pytest
 from ltv_mpc import config
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.safety.health import NOMINAL, WORST_FIRST, Ages, HealthState, health, report_health, worst
+from ltv_mpc.safety.health import WORST_FIRST, Ages, HealthState, health, worst
 
 MS = 1_000_000
 
@@ -38,13 +38,6 @@ def test_each_threshold_is_the_larger_of_its_seconds_and_its_periods(age_ms, per
     state = health(age_ns=age_ns, period_ns=period_ms * MS)
     assert state.health == word
     assert (state.why == "") == (word == "nominal")
-
-
-def test_missing_reports_degrade_only_after_a_first_one():
-    assert report_health(silent_ns=None, period_ns=0) is NOMINAL
-    assert report_health(silent_ns=500 * MS, period_ns=100 * MS) is NOMINAL
-    assert report_health(silent_ns=500 * MS + 1, period_ns=100 * MS).health == "degraded"
-    assert report_health(silent_ns=2000 * MS, period_ns=1000 * MS) is NOMINAL
 
 
 def test_the_worst_of_several_counts():

@@ -45,7 +45,7 @@ def test_a_silent_operator_has_the_chosen_effect_until_it_is_cleared(action):
 def test_an_operator_who_was_never_heard_cannot_be_lost():
     policy = MissionPolicy(MissionSettings(operator_timeout_s=1, on_operator_loss=SURFACE))
     assert at(policy, 1000) == [GO_ON]
-    assert policy.causes(1000 * S) == []
+    assert list(policy.causes(1000 * S)) == []
 
 
 def test_going_on_without_the_operator_is_degraded_only():

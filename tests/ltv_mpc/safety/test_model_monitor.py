@@ -251,11 +251,11 @@ def test_the_noise_of_a_yaw_rate_does_not_add_up_over_the_window():
 def test_a_restored_monitor_knows_the_behaviour_of_the_vehicle():
     """The vehicle was stronger than its model and loses 30 %: compared with its model alone, it loses 23 %."""
     before = mismatched(1.1, 0.9, 0.9).sail(30.0)
-    products = before.monitor.products
+    products = before.monitor.detector.products
     knowing, forgetful = (mismatched(0.77, 0.9, 0.9) for _ in range(2))  # 30 % less than it was
-    knowing.monitor.restore(products)
-    np.testing.assert_array_equal(knowing.monitor.products, products)
-    assert forgetful.monitor.products is None
+    knowing.monitor.detector.restore(products)
+    np.testing.assert_array_equal(knowing.monitor.detector.products, products)
+    assert forgetful.monitor.detector.products is None
     for sea in (knowing, forgetful):
         sea.sail(3.0)
     assert knowing.monitor.evidence > 2.0 * forgetful.monitor.evidence

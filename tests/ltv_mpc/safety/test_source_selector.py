@@ -6,9 +6,9 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
+from ltv_mpc.safety.input_age import MAX_SILENCE_NS
 from ltv_mpc.safety.source_selector import (
     MAX_GAP_NS,
-    MAX_SILENCE_NS,
     RETURN_NS,
     RUN_MESSAGES,
     RUN_NS,

@@ -55,18 +55,17 @@ def gain_of(row: np.ndarray, products: np.ndarray, loss) -> float:
 def test_the_minima_agree_with_another_solver():
     rng = np.random.default_rng(4)
     size = [[3.0], [2.0], [1.0], [1.5], [0.5]]
-    # mass, thrust and drag are wrong independently, c = m - t and b = q - m
-    mix = MISMATCH_SD * np.array([[1.0, -1.0, 0.0], [-1.0, 0.0, 1.0]])
-    prior = np.diag([0.0, 1.0 / DIFFERENCE_SD, 0.0, *[1.0 / PRIOR_SD] * 4])
-    prior[0:3:2, 0:3:2] = np.linalg.cholesky(np.linalg.inv(mix @ mix.T)).T
-    sides = np.eye(5)
-    sides[:2, :2] = [[1.0, 1.0], [1.0, -1.0]]  # l = c + s, c - s
+    # mass m, thrust t, drag q and s are wrong independently: l = m - t + s, m - t - s and b = q - m
+    mix = np.array([[1.0, -1.0, 0.0, 1.0], [1.0, -1.0, 0.0, -1.0], [-1.0, 0.0, 1.0, 0.0]])
+    mix *= [*[MISMATCH_SD] * 3, DIFFERENCE_SD]
+    prior = np.eye(7) / PRIOR_SD
+    prior[:3, :3] = np.linalg.cholesky(np.linalg.inv(mix @ mix.T)).T
     for _ in range(40):
         now, then = (np.vstack([rng.normal(size=12), rng.normal(size=(5, 12)) * size]) for _ in "ab")
-        (found,) = losses(quadratic_form((now @ now.T).reshape(1, -1), (then @ then.T).reshape(1, -1)))
+        (found,) = losses(quadratic_form((now @ now.T)[None], (then @ then.T)[None]))
         # f = |z - phi' (l, b, g) - phi' d|^2 + PAST_WEIGHT |z - phi' (l, b, g)|^2 + prior
-        window = np.hstack([now[1:].T @ sides, now[1:3].T])
-        before = math.sqrt(PAST_WEIGHT) * np.hstack([then[1:].T @ sides, np.zeros((12, 2))])
+        window = np.hstack([now[1:].T, now[1:3].T])
+        before = math.sqrt(PAST_WEIGHT) * np.hstack([then[1:].T, np.zeros((12, 2))])
         A = np.vstack([window, before, prior])
         b = np.concatenate([now[0], math.sqrt(PAST_WEIGHT) * then[0], np.zeros(7)])
         without = 2.0 * lsq_linear(A[:, :5], b).cost

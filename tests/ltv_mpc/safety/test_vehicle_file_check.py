@@ -81,11 +81,11 @@ def test_late_stamps_are_named_with_the_delay_and_nothing_that_they_explain():
     check = VehicleFileCheck(fit())
     for t in range(11):
         assert check.health.health == "nominal"
-        assert not check.stamps_are_late
+        assert not check.late_s
         check.fit = fit((0.5, 0.0), {0: 2.0}, 0.5 + 0.01 * t)
         check.update(t * S)
     assert check.health.health == "degraded"
-    assert check.stamps_are_late
+    assert check.late_s
     for text in (check.why, check.health.why):
         assert "older than their stamps by about 0.5 s: taken for that old; stamp each with the time" in text
         assert "mass" not in text
@@ -106,7 +106,7 @@ def test_the_named_delay_is_in_use_until_the_alarm_ends_also_while_a_slip_is_sus
 
 def test_while_waves_carry_the_vehicle_late_stamps_are_named_and_the_file_is_not():
     assert checked((0.5, 0.0), {0: 2.0}, other_cause=True).why == ""
-    assert checked(NO_ARM, {}, 0.5, other_cause=True).stamps_are_late
+    assert checked(NO_ARM, {}, 0.5, other_cause=True).late_s
 
 
 def test_without_reports_late_stamps_or_thrusters_that_answer_late_are_named():

@@ -13,11 +13,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ltv_mpc.messages import Estimate, GnssFix, Manual, PressureDepth
+from ltv_mpc.safety.input_age import silence_ns
 from ltv_mpc.validation import MAX_KINDS
 from services.bus.mailbox import Frame, Mailbox
 from services.bus.message_validation import MessageValidator, RateExceeded, rejection
 from services.bus.rate_limit import RateLimit
-from services.bus.sequence_check import MAX_SOURCES, silence_us
+from services.bus.sequence_check import MAX_SOURCES
 from services.bus.topics import BY_TYPE, source_of, topic_at
 from services.bus.wire import Header, WireError, crc, encode, epoch_of, unpack
 
@@ -96,7 +97,7 @@ def test_each_frame_is_accepted_once_and_in_order(course: Course, counts: tuple[
 
 @pytest.mark.parametrize(("kind", "silence_ms"), [(PressureDepth, 500), (GnssFix, 1500), (Manual, 500)])
 def test_the_silence_after_which_another_takes_over_is_three_periods_within_bounds(kind, silence_ms) -> None:
-    assert silence_us(BY_TYPE[kind].period_ns) == silence_ms * 1000
+    assert silence_ns(BY_TYPE[kind].period_ns) == silence_ms * 1_000_000
 
 
 def test_what_a_door_remembers_does_not_grow_with_what_strangers_send() -> None:
