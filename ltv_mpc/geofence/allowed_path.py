@@ -328,12 +328,8 @@ class Routes:
         zones, standing = self._zones, self._standing
         if not len(standing):
             return zones, need
-        none, last = np.zeros(len(standing)), zones.first[-1]
-        together = Zones(
-            vertices=np.vstack([zones.vertices, standing[:, :2]]),
-            first=np.concatenate([zones.first, last + 1 + np.arange(len(standing))]),
-            radius=np.concatenate([zones.radius, none]),
-            margin=np.concatenate([zones.margin, none]),
-            circle=np.vstack([zones.circle, np.column_stack([standing[:, :2], none])]),
-        )
+        places, none = standing[:, :2], np.zeros(len(standing))
+        first = zones.first[-1] + 1 + np.arange(len(standing))
+        points = Zones(places, first, radius=none, margin=none, circle=np.column_stack([places, none]))
+        together = Zones._make(np.concatenate(both) for both in zip(zones, points, strict=True))
         return together, np.concatenate([need, standing[:, 2]])

@@ -112,24 +112,6 @@ class Fence(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         except ConfigError as error:
             raise geojson.with_features(error, names) from None
 
-    def save(self, path: str) -> None:
-        """Write the fence: GeoJSON if the file's suffix is .geojson or .json, else TOML. Raises ``ConfigError``.
-
-        Parameters
-        ----------
-        path : of the file. GeoJSON needs the fence's origin.
-        """
-        if path.lower().endswith(GEOJSON):
-            from ltv_mpc.geofence import geojson
-
-            text = geojson.text(msgspec.to_builtins(self), self.origin, f"fence {path}")
-        else:
-            text = config.to_toml(self)
-        try:
-            Path(path).write_text(text, encoding="utf-8")
-        except OSError as error:
-            raise ConfigError(f"fence {path}", "", f"cannot be written: {error.strerror}") from None
-
     def zones(self) -> Iterator[ZoneInForce]:
         """Yield the zones in the local frame: keep-in polygons, keep-out polygons, keep-out discs."""
         for table in ("keep_in", "keep_out", "keep_out_disc"):

@@ -15,13 +15,14 @@ from pathlib import Path
 from typing import Any, Literal
 
 import msgspec
+import pymap3d
 import shapely
 
 from ltv_mpc import config
 from ltv_mpc.errors import ConfigError, naming
 from ltv_mpc.geofence.geojson import Ring, zones_around
 from ltv_mpc.messages import Pair
-from ltv_mpc.references.geodesy import DEGREES, Origin, degrees
+from ltv_mpc.references.geodesy import DEGREES, Origin
 from ltv_mpc.references.mission_files import QGC_WPL, note_unused, read_plan, read_waypoints
 from ltv_mpc.references.mission_items import WAYPOINT, Item, command_name
 
@@ -191,5 +192,6 @@ def _place(item: Item) -> dict[str, float]:
 def _corners(centre: dict[str, float], radius_m: float) -> Ring:
     """Return the corners of the polygon in a circle."""
     offsets = shapely.get_coordinates(shapely.Point(0.0, 0.0).buffer(radius_m, quad_segs=CORNERS // 4))
-    places = [degrees(north, east, Origin(**centre)) for north, east in offsets.tolist()]
+    latitudes, longitudes, _ = pymap3d.ned2geodetic(*offsets.T, 0.0, *(centre[name] for name in DEGREES), 0.0)
+    places = zip(latitudes.tolist(), longitudes.tolist(), strict=True)
     return [dict(zip(DEGREES, place, strict=True)) for place in places]

@@ -20,7 +20,6 @@ import contextlib
 import itertools
 import math
 import re
-from collections.abc import Mapping
 from typing import Any, NamedTuple, TypeAlias
 
 import msgspec
@@ -30,7 +29,6 @@ from shapely.affinity import scale
 
 from ltv_mpc import config
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.references.geodesy import Origin, Place, degrees, local
 from ltv_mpc.references.mission_files import note_unused
 
 GEOMETRY = {"keep_in": "Polygon", "keep_out": "Polygon", "keep_out_disc": "Point"}
@@ -289,34 +287,3 @@ def places_of(shape: Any) -> Ring:
     """
     places = shapely.get_coordinates(shape).tolist()
     return [{"longitude_deg": math.remainder(on, 360.0), "latitude_deg": at} for on, at in places]
-
-
-def text(table: Mapping[str, Any], origin: Origin | None, source: str) -> str:
-    """Return the GeoJSON text of a fence. Raises ``ConfigError`` without an origin.
-
-    Parameters
-    ----------
-    table : the fence, as ``fence.toml`` holds it.
-    origin : position of north = east = 0.
-    source : name of the file in errors.
-    """
-    if origin is None:
-        raise ConfigError(source, "[origin]", "is missing: GeoJSON has positions in degrees")
-    features = []
-    for zone, kind in GEOMETRY.items():
-        for entry in table.get(zone, ()):
-            ring = [_position(place, origin) for place in entry.get("vertices") or [entry["centre"]]]
-            geometry = {"type": kind, "coordinates": ring[0] if kind == "Point" else [[*ring, ring[0]]]}
-            properties = {"zone": zone} | {key: entry[key] for key in PROPERTIES if key in entry}
-            features.append({"type": "Feature", "properties": properties, "geometry": geometry})
-    content = {"type": "FeatureCollection", "features": features}
-    content |= {key: table[key] for key in ("margin_m", "origin") if key in table}
-    return msgspec.json.format(msgspec.json.encode(content), indent=1).decode() + "\n"
-
-
-def _position(place: Mapping[str, float], origin: Origin) -> list[float]:
-    """Return [longitude, latitude] (degrees) of a place."""
-    if "latitude_deg" in place:
-        return [place["longitude_deg"], place["latitude_deg"]]
-    latitude, longitude = degrees(*local(msgspec.convert(place, Place), origin), origin)
-    return [longitude, latitude]

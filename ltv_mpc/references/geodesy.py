@@ -129,18 +129,3 @@ def tangent_plane(latitude_deg: float, longitude_deg: float, origin: Origin) -> 
     place, tangency = (latitude_deg, longitude_deg, 0.0), (origin.latitude_deg, origin.longitude_deg, 0.0)
     north, east, _ = pymap3d.geodetic2ned(*place, *tangency)
     return float(north), float(east)
-
-
-def degrees(north_m: float, east_m: float, origin: Origin) -> Pair:
-    """Return latitude and longitude (degrees) of a point on the ellipsoid: the inverse of ``tangent_plane``.
-
-    Parameters
-    ----------
-    north_m, east_m : coordinates in the tangent plane (m).
-    origin : point of tangency.
-    """
-    tangency, down = (origin.latitude_deg, origin.longitude_deg, 0.0), 0.0
-    for _ in range(4):  # the plane lies above the ellipsoid by d^2 / (2 R): 200 m at 50 km
-        latitude, longitude, above = pymap3d.ned2geodetic(north_m, east_m, down, *tangency)
-        down += float(above)
-    return float(latitude), float(longitude)

@@ -22,7 +22,7 @@ from __future__ import annotations
 import functools
 import operator
 from collections.abc import Sequence
-from typing import Literal, NamedTuple, TypeAlias
+from typing import Literal, TypeAlias
 
 import msgspec
 import numpy as np
@@ -30,7 +30,7 @@ from scipy.optimize import least_squares
 from scipy.stats import norm
 from scipy.stats import t as student
 
-from ltv_mpc.messages import Array, Times
+from ltv_mpc.messages import Array, Pair, Times, Triple
 from ltv_mpc.vehicle.parameters import Vehicle
 from ltv_mpc.vehicle.reference_point import ORIGIN
 from ltv_mpc.vehicle.shooting_fit import (
@@ -123,13 +123,13 @@ class IdentifiedCoefficient(msgspec.Struct, frozen=True, kw_only=True):
     declared: bool = False  # ``value`` is the declared one, and ``low`` to ``high`` is what the run shows
 
 
-class Identification(NamedTuple):
+class Identification(msgspec.Struct, frozen=True, kw_only=True):
     """Result of an identification."""
 
     coefficients: list[IdentifiedCoefficient]
-    current_mps: Array  # (2,) current that the estimates do not contain, north and east
-    current_half_mps: Array  # (2,) half width of its 95 % interval
-    sd: Array  # (3,) standard deviations of the residuals of u, v (m/s) and r (rad/s)
+    current_mps: Pair  # current that the estimates do not contain, north and east
+    current_half_mps: Pair  # half width of its 95 % interval
+    residual_sd: Triple  # standard deviations of the residuals of u, v (m/s) and r (rad/s)
     segments: int
     seconds: float
     warnings: list[str]  # what does not fit: structure of the model, declared values, bounds
@@ -198,13 +198,13 @@ def identify(vehicle: Vehicle, motion: Motion, known: Known = "thrust", known_ya
     if not any(one.excited for one in coefficients):
         raise NotEnoughMotion("the motion of no coefficient exceeds the errors of the estimates (docs/identify.md)")
     return Identification(
-        coefficients,
-        CURRENT_SD_MPS * theta[CURRENT],
-        CURRENT_SD_MPS * 0.5 * (high - low)[CURRENT],
-        fit.sd,
-        len(fit.edges),
-        float(motion.t_s[-1] - motion.t_s[0]),
-        [*warnings, *_contradictions(coefficients), *_at_bounds(vehicle, coefficients)],
+        coefficients=coefficients,
+        current_mps=tuple((CURRENT_SD_MPS * theta[CURRENT]).tolist()),
+        current_half_mps=tuple((CURRENT_SD_MPS * 0.5 * (high - low)[CURRENT]).tolist()),
+        residual_sd=tuple(fit.sd.tolist()),
+        segments=len(fit.edges),
+        seconds=float(motion.t_s[-1] - motion.t_s[0]),
+        warnings=[*warnings, *_contradictions(coefficients), *_at_bounds(vehicle, coefficients)],
     )
 
 

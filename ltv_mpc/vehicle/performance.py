@@ -52,15 +52,13 @@ class Performance(msgspec.Struct, frozen=True, kw_only=True):
     speed without thrust is 0. A time constant is the time to 63 % (1 - 1/e) of the steady value.
     """
 
-    top_speed_ahead_mps: float | None
-    top_speed_astern_mps: float | None
+    top_speed_ahead_mps: float | None  # also the strongest current in which it holds its position, bow into it
+    top_speed_astern_mps: float | None  # the same, stern into the current
     turning_rate_starboard_radps: float | None  # steady yaw rate, positive
     turning_rate_port_radps: float | None  # steady yaw rate, negative
     turn_90deg_s: float | None  # to the side of the smaller turning rate, until the yaw rate is zero again
     stopping_distance_m: float | None  # from top speed ahead to 2 % of it, with the straight thrusts astern
     stopping_time_s: float | None  # of the same motion
-    strongest_current_bow_mps: float | None  # in which the vehicle holds its position, bow into the current
-    strongest_current_stern_mps: float | None  # the same, stern into the current
     surge_s: float | None  # time constant of surge: from rest, straight ahead
     sway_s: float | None  # time constant of sway: a tenth of top speed falls to 37 % (1/e) without thrust
     yaw_s: float | None  # time constant of yaw: from rest, to the side of the smaller turning rate
@@ -86,8 +84,6 @@ def performance(vehicle: Vehicle) -> Performance:
         turn_90deg_s=_quarter_turn(vehicle, to_starboard),
         stopping_distance_m=None if stop is None else stop[0],
         stopping_time_s=None if stop is None else stop[1],
-        strongest_current_bow_mps=top,
-        strongest_current_stern_mps=top_astern,
         surge_s=_time_until(vehicle, ahead, lambda X: X[2] >= TIME_CONSTANT_SHARE * top) if top else None,
         sway_s=_time_until(vehicle, STILL, lambda X: X[3] <= decayed_mps, SWAY_SHARE * top) if top else None,
         yaw_s=_time_until(vehicle, turn, lambda X: abs(X[5]) >= TIME_CONSTANT_SHARE * abs(rate)) if rate else None,

@@ -10,8 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
-from ltv_mpc.geofence.obstacles import ahead_reason
-from ltv_mpc.messages import Clock, ClockStep, Message, Obstacles, RunEvent
+from ltv_mpc.messages import Clock, ClockStep, Message, RunEvent
 from ltv_mpc.node import Cycle, Grid, Node, OnMessage, Schedule
 from services.runtime.clock import VehicleClock, monotonic_us
 from services.runtime.clock_master import ClockMaster, ClockMasterSettings
@@ -29,8 +28,6 @@ class ClockOptions(NamedTuple):
     """Settings of the process that keeps the time; None for a follower."""
     sync_to_inputs: bool = False
     """Take the time from the inputs' stamps if no clock is announced."""
-    input_delay_ns: int = 0
-    """Smallest transport delay of the inputs, for the one-way mode of the synchronisation."""
     speed: float | None = None
     """Clock speed that this process expects; another one is an error. None: any."""
 
@@ -87,7 +84,7 @@ class ProcessTime:
             self.master = ClockMaster(
                 options.master, self.clock, node=node.name, epoch=epoch, now_us=monotonic_us(), publish=publish
             )
-        self.sync = ClockSync(self.clock, epoch=epoch, input_delay_ns=options.input_delay_ns)
+        self.sync = ClockSync(self.clock, epoch=epoch)
         self.syncs = options.sync_to_inputs
         """True if the time is taken from the inputs' stamps while no clock is announced."""
         self.schedule = StepSchedule(node.schedule, end_ns=options.master.end_ns if options.master else None)
@@ -128,9 +125,6 @@ class ProcessTime:
 
         ``epoch``: of its publisher. Raises ``ClockError`` if the clock cannot be followed.
         """
-        if isinstance(message, Obstacles):
-            now_ns = self.clock.read(received_us)  # None: not known yet; then the first cycle drops what is ahead
-            return "" if now_ns is None else ahead_reason(message, now_ns - self.sync.shift_ns(epoch, received_us))
         if not (self.syncs or isinstance(message, Clock)):
             return ""
         known = self.clock.newest is not None

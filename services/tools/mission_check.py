@@ -295,7 +295,7 @@ def _heading_problems(vehicle: Vehicle, reference: Reference, current_mps: float
     """Yield at which angles to the current the vehicle holds a fixed heading, and what pushes it at others."""
     if not isinstance(reference, Point | Hold) or reference.heading_deg is None or current_mps == 0.0:
         return
-    astern_mps = can.strongest_current_stern_mps
+    astern_mps = can.top_speed_astern_mps
     stern = astern_mps is None or current_mps <= astern_mps
     ends = "bow or stern into the current (0 or 180 degrees)" if stern else "the bow into the current (0 degrees)"
     oblique_N, across_N = (sideways_drag_N(vehicle, current_mps, angle_deg) for angle_deg in (45.0, 90.0))

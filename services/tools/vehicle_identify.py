@@ -21,6 +21,7 @@ from ltv_mpc.errors import ConfigError, naming
 from ltv_mpc.messages import Applied, Array, Authority, Estimate, Pair, Plan, Times, Triple
 from ltv_mpc.vehicle.identification import (
     CannotIdentify,
+    Identification,
     IdentifiedCoefficient,
     Known,
     KnownYaw,
@@ -55,23 +56,15 @@ VELOCITY, YAW_RATE = (2, 3), 5
 """Indices in the covariance of an estimate."""
 
 
-class IdentifyReport(msgspec.Struct, frozen=True, kw_only=True):
+class IdentifyReport(Identification, frozen=True, kw_only=True):
     """Report of ``vehicle identify --json``."""
 
     run: str
     vehicle: str
-    seconds: float
     estimates: int
     left_out_s: float  # time of estimates whose thrusts are not known
-    segments: int
     input: str  # "applied", "plan" or "pwm": where the thrusts come from
     known: tuple[Known, KnownYaw]  # coefficients taken from the file
-    current_mps: tuple[float, float]  # current that the estimates do not contain, north and east
-    current_half_mps: tuple[float, float]  # half width of its 95 % interval
-    residual_sd: tuple[float, float, float]  # of u, v (m/s), r (rad/s)
-    found: list[IdentifiedCoefficient]
-    not_excited: list[str]  # coefficients that the run does not excite
-    warnings: list[str]  # what contradicts the model or the file
 
 
 def open_run(run: str) -> Path:
@@ -103,30 +96,24 @@ def identify_run(path: Path, vehicle: Vehicle, known: Known, known_yaw: KnownYaw
             estimates, notes = list(map(to_origin, log.estimates)), log.notes
             motion = motion_of_log(estimates, log)
         else:
-            found = list(accepted(Recording(*segments(path)), (Estimate, Applied, Plan)))
-            estimates = [to_origin(message) for message, *_ in found if isinstance(message, Estimate)]
-            reports = [message for message, *_ in found if isinstance(message, Applied)]
-            plans = [(t_ns, message) for message, _, t_ns in found if isinstance(message, Plan)]
+            recorded = list(accepted(Recording(*segments(path)), (Estimate, Applied, Plan)))
+            estimates = [to_origin(message) for message, *_ in recorded if isinstance(message, Estimate)]
+            reports = [message for message, *_ in recorded if isinstance(message, Applied)]
+            plans = [(t_ns, message) for message, _, t_ns in recorded if isinstance(message, Plan)]
             motion = motion_of(vehicle, estimates, reports, plans)
         identification = identify(vehicle, motion, known, known_yaw)
     except CannotIdentify as error:
         problem = "does not excite the vehicle enough" if isinstance(error, NotEnoughMotion) else "cannot be fitted"
         raise ConfigError(name_of(path), "", f"{problem}: {error}") from None
+    found = msgspec.structs.asdict(identification) | {"warnings": [*notes, *identification.warnings]}
     return IdentifyReport(
+        **found,
         run=str(path if is_log(path) else path.parent),
         vehicle=vehicle.name,
-        seconds=identification.seconds,
         estimates=len(motion.t_s),
         left_out_s=_left_out_s(estimates, len(motion.t_s)),
-        segments=identification.segments,
         input="pwm" if is_log(path) else "plan" if motion.thrust is None else "applied",
         known=(known, known_yaw),
-        current_mps=tuple(identification.current_mps.tolist()),
-        current_half_mps=tuple(identification.current_half_mps.tolist()),
-        residual_sd=tuple(identification.sd.tolist()),
-        found=identification.coefficients,
-        not_excited=[one.name for one in identification.coefficients if not one.excited and not one.declared],
-        warnings=[*notes, *identification.warnings],
     )
 
 
@@ -273,7 +260,7 @@ def _sd(estimates: list[Estimate]) -> Array:
 def identified_vehicle(path: Path, vehicle: Vehicle, report: IdentifyReport) -> Vehicle:
     """Return the vehicle with the identified coefficients. Raises ``ConfigError`` if a vehicle file rejects them."""
     with naming(name_of(path), problem="fits no vehicle that a file accepts: "):  # limits scaled beyond their bounds
-        return with_coefficients(vehicle, report.found)
+        return with_coefficients(vehicle, report.coefficients)
 
 
 def format_text(report: IdentifyReport) -> str:
@@ -288,7 +275,7 @@ def format_text(report: IdentifyReport) -> str:
         f"current that the estimates do not contain: {north:.3f} +- {half_north:.3f} m/s north, "
         f"{east:.3f} +- {half_east:.3f} m/s east",
         f"taken from the file: {report.known[0]} and {report.known[1]}",
-        *columns([("", "file", "found", "95 % interval"), *map(_cells, report.found)]),
+        *columns([("", "file", "found", "95 % interval"), *map(_cells, report.coefficients)]),
     ]
     return "\n".join([*lines, *(f"warning: {warning}" for warning in report.warnings)])
 
@@ -302,10 +289,11 @@ def _cells(of: IdentifiedCoefficient) -> tuple[str, ...]:
 
 def format_toml(report: IdentifyReport, vehicle: Vehicle) -> str:
     """Format the identified vehicle as a vehicle file."""
+    not_excited = [one.name for one in report.coefficients if not one.excited and not one.declared]
     head = [
         f"# {vehicle.name}, {report.known[0]} and {report.known[1]} from the old file; the rest from",
         f"# {report.seconds:.0f} s of {Path(report.run).name}."
-        + (f" Not excited, value of the old file: {', '.join(report.not_excited)}." if report.not_excited else ""),
+        + (f" Not excited, value of the old file: {', '.join(not_excited)}." if not_excited else ""),
         *(f"# warning: {warning}" for warning in report.warnings),
     ]
     return "\n".join(head) + "\n" + config.to_toml(vehicle)

@@ -13,10 +13,9 @@ from ltv_mpc.control.config import MotionLimits
 from ltv_mpc.control.fencing import Fencing
 from ltv_mpc.control.nominal_model import advance
 from ltv_mpc.control.ocp.limits import ROWS
-from ltv_mpc.control.ocp.problem import Problem
 from ltv_mpc.control.prediction import Prediction
 from ltv_mpc.control.scaling import characteristic_scales
-from ltv_mpc.control.solvers import Result, Solver, make
+from ltv_mpc.control.solvers import Solver, make
 from ltv_mpc.control.solvers.recorder import RecordingSolver
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.geofence.fence import Disc
@@ -97,29 +96,18 @@ def test_a_vehicle_inside_a_zone_leaves_it_by_the_nearest_exit() -> None:
 FAR_DISC = disc(1000.0, 0.0, 3.0)
 
 
-def test_the_first_cycle_with_a_fence_sets_up_its_solver_and_a_step_into_a_zone_costs_a_third_qp() -> None:
-    rows, solvers = list[int](), list[Solver]()
+def test_the_first_cycle_with_a_fence_sets_up_the_solver_that_all_later_ones_use() -> None:
+    solvers = list[RecordingSolver]()
 
-    class Counting(RecordingSolver):
-        def solve(self, problem: Problem, shift: float, *, last: bool = True) -> Result:
-            rows.append(problem.sizes[3] - ROWS)
-            return super().solve(problem, shift, last=last)
-
-    def make_counting(vehicle: Vehicle, config: ControllerConfig) -> Solver:
-        solvers.append(Counting(make(vehicle, config)))
+    def make_recording(vehicle: Vehicle, config: ControllerConfig) -> Solver:
+        solvers.append(RecordingSolver(make(vehicle, config)))
         return solvers[-1]
 
-    of = Controller(CRAFT, Point(north_m=GOAL[0], east_m=GOAL[1]), make_solver=make_counting)
-    of.plan(drifting())
-    assert len(solvers) == 1
-    of.set_fence(FAR_DISC)
-    of.plan(drifting())  # the first cycle with a fence has rows in any case
-    assert len(solvers) == 2
-    for fence, expected in ((FAR_DISC, [0, 0]), (disc(5.0, 0.0, 2.0), [0, 3, 3])):
+    of = Controller(CRAFT, Point(north_m=GOAL[0], east_m=GOAL[1]), make_solver=make_recording)
+    for fence, count, rows in ((None, 1, 0), (FAR_DISC, 2, 3), (disc(5.0, 0.0, 2.0), 2, 3), (None, 3, 0)):
         of.set_fence(fence)
-        rows.clear()
-        of.plan(msgspec.structs.replace(drifting(), t_ns=300_000_000))
-        assert rows == expected
+        of.plan(drifting())
+        assert (len(solvers), solvers[-1].problem.sizes[3] - ROWS) == (count, rows)
 
 
 def test_between_walls_that_are_too_near_for_their_margins_the_hull_stays_free() -> None:

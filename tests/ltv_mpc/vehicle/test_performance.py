@@ -31,8 +31,6 @@ def test_at_top_speed_drag_equals_thrust() -> None:
     can = performance(SURFACE)
     assert can.top_speed_ahead_mps == pytest.approx(2 * 119.7 / 77.6)
     assert can.top_speed_astern_mps == pytest.approx(2 * 66.7 / 77.6)
-    assert can.strongest_current_bow_mps == can.top_speed_ahead_mps
-    assert can.strongest_current_stern_mps == can.top_speed_astern_mps
 
 
 def test_both_dampings_count() -> None:

@@ -12,9 +12,7 @@ from typing import Any, NamedTuple
 import pytest
 from msgspec.structs import replace
 
-from ltv_mpc.geofence.fence import Disc, Fence
 from ltv_mpc.messages import Authority, ControllerStatus, Estimate, Message, Plan, RunEvent
-from ltv_mpc.references.geodesy import Origin, Place
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.mailbox import LatestCache, Mailbox
 from services.bus.options import BusOptions
@@ -128,11 +126,21 @@ def test_a_watch_of_commands_is_accepted_or_refused_as_the_plan_says(alone, tmp_
     assert abs(alone.plan().cycle_t_ns - now_ns) < 10_000_000_000  # its knots are in the other side's time
 
 
-@pytest.mark.parametrize("name", ["fence.toml", "fence.geojson"])
+BUOY = {
+    "fence.toml": """margin_m = 2.0
+keep_out_disc = [{ name = "buoy", centre = { north_m = 51.0, east_m = 0.0 }, radius_m = 3.0 }]
+""",
+    "fence.geojson": """{"type": "FeatureCollection", "margin_m": 2.0,
+"origin": {"latitude_deg": 50.0, "longitude_deg": -5.0},
+"features": [{"type": "Feature", "properties": {"zone": "keep_out_disc", "name": "buoy", "radius_m": 3.0},
+"geometry": {"type": "Point", "coordinates": [-5.0, 50.0004585]}}]}
+""",
+}
+
+
+@pytest.mark.parametrize("name", BUOY)
 def test_a_fence_is_in_force_until_another_one_or_none_is_sent(alone, tmp_path, capsys, name) -> None:
-    buoy = Disc(name="buoy", centre=Place(north_m=51.0, east_m=0.0), radius_m=3.0)
-    origin = Origin(latitude_deg=50.0, longitude_deg=-5.0)
-    Fence(margin_m=2.0, origin=origin, keep_out_disc=(buoy,)).save(str(tmp_path / name))
+    (tmp_path / name).write_text(BUOY[name])
     assert alone.ctl("fence", str(tmp_path / name)) == 0
     assert "accepted" in capsys.readouterr().out
     until(lambda: alone.plan().fence is not None)

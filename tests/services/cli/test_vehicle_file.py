@@ -62,9 +62,9 @@ def test_the_proposed_horizon_covers_a_turn_and_a_stop(capsys: pytest.CaptureFix
 
 @pytest.mark.usefixtures("without_report")
 def test_identify_recovers_the_vehicle_of_a_run(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A vehicle with 1.2 times the mass and 0.8 times the drag, held in a current for one minute."""
+    """A vehicle with 1.2 times the mass and 0.8 times the drag, held in a current for half a minute."""
     keys = (
-        *("run.duration_s=60", "run.surface_time_s=1", "water.sd_mps=0.15", "plant.north_m=3"),
+        *("run.duration_s=30", "run.surface_time_s=1", "water.sd_mps=0.15", "plant.north_m=3"),
         *("plant.mismatch.mass=1.2", "plant.mismatch.drag=0.8"),
     )
     options = [word for key in keys for word in ("--set", key)]
@@ -73,14 +73,14 @@ def test_identify_recovers_the_vehicle_of_a_run(here: Path, capsys: pytest.Captu
     assert run(["vehicle", "identify", "run", "--out", "found.toml", "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
     assert said["input"] == "applied"
-    found = {one["name"]: one["value"] for one in said["found"]}
+    found = {one["name"]: one["value"] for one in said["coefficients"]}
     assert found["mass_surge"] == pytest.approx(600.0, rel=0.05)
     assert found["inertia_yaw"] == pytest.approx(1.2 * 179.049, rel=0.02)
     assert found["linear_yaw"] == pytest.approx(12.0, rel=0.1)
     better = Vehicle.load(str(here / "found.toml"))
     assert better.surge.mass_kg == pytest.approx(found["mass_surge"])
     assert better.sway.quadratic_damping_kgpm == pytest.approx(found["quadratic_sway"])
-    assert all(one["value"] == one["file"] for one in said["found"] if not one["excited"])
+    assert all(one["value"] == one["file"] for one in said["coefficients"] if not one["excited"])
     assert max(map(abs, said["current_mps"])) < 0.02  # the estimates contain the current
     assert better.thruster.port.max_N == 62.5
     assert said["warnings"] == []

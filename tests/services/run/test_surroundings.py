@@ -7,17 +7,16 @@ from pathlib import Path
 import pytest
 
 from ltv_mpc import Fence
+from ltv_mpc.config import to_toml
 from ltv_mpc.control.config import ControllerConfig, MotionLimits
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.geofence.fence import Disc
 from ltv_mpc.references.geodesy import Place
 from services.bus.options import BusOptions
-from services.bus.wire import Header
 from services.cli.app import run as command
 from services.processes import controller
 from services.recording.reader import Recording
-from services.recording.writer import RunWriter
 from services.replay import replay
 from services.replay.nodes import Run
 from services.run import folder
@@ -25,6 +24,7 @@ from services.run.run_config import Override, resolve
 from services.run.settings_files import controller_files, node_settings
 from services.supervisor import process_table
 from services.tools import lockstep_run
+from tests.services.recording.recordings import write
 
 SOUNDINGS = "north_m,east_m,depth_m\n-50,-50,12\n-50,50,12\n50,-50,12\n50,50,12\n"
 LIMIT = "controller.limits.min_altitude_m=3"
@@ -42,7 +42,8 @@ def fence(tmp_path: Path) -> Path:
     hull = resolve("descent").vehicle.hull
     assert hull is not None
     place = Place(north_m=4.0 + hull.radius_m, east_m=0.0)
-    Fence(margin_m=2.0, keep_out_disc=(Disc(name="wreck", centre=place, radius_m=3.0),)).save(str(tmp_path / "f.toml"))
+    fence = Fence(margin_m=2.0, keep_out_disc=(Disc(name="wreck", centre=place, radius_m=3.0),))
+    (tmp_path / "f.toml").write_text(to_toml(fence))
     return tmp_path / "f.toml"
 
 
@@ -86,9 +87,7 @@ def test_the_settings_that_a_controller_publishes_have_its_bathymetry(bottom: Pa
     settings = ControllerConfig(limits=MotionLimits(min_altitude_m=3.0))
     published = node_settings("controller", controller_files("paper", "square", "", str(bottom), settings))
     assert published is not None
-    with RunWriter(tmp_path / "run.mcap", start_ns=0, metadata={}) as writer:
-        writer.write("controller", published, Header(epoch=1, sequence=0), 0)
-    node = Run(tmp_path / "run.mcap").make("controller", 1)
+    node = Run(write(tmp_path / "run.mcap", [("controller", published, 1, 0, 0)])).make("controller", 1)
     assert isinstance(node, ControllerNode)
     assert node.controller.bathymetry is not None
 

@@ -69,7 +69,7 @@ def over(bottom: Any, reference: Any = None, least_m: float | None = 3.0) -> dic
 
 
 FACING, DEEP, HERE = point(heading_deg=90.0), point(depth_m=30.0), Hold(depth_m=30.0)
-ASTERN_MPS = performance(WEAK).strongest_current_stern_mps or 0.0
+ASTERN_MPS = performance(WEAK).top_speed_astern_mps or 0.0
 ACROSS_N = PAPER.sway.quadratic_damping_kgpm * 0.2**2
 DRIFT_M = checked(current_mps=0.1).drift_m or 0.0
 WIDE, CLOSE = (MotionLimits(max_cross_track_m=factor * DRIFT_M) for factor in (1.01, 0.99))

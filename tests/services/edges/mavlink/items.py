@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from ltv_mpc import references
+import pymap3d
+
 from ltv_mpc.references import Origin
 from services.edges.mavlink.codec import Codec
 
@@ -17,7 +18,7 @@ def codec(system: int = 1, component: int = 1, key: bytes | None = None) -> Code
 
 def item(seq: int, command: int, *parameters: float, north_m: float = 0.0, east_m: float = 0.0, **other: Any) -> Any:
     """Return an item at a place in metres from the origin; ``z`` and ``frame`` by name, and ``x``, ``y`` for none."""
-    latitude, longitude = references.geodesy.degrees(north_m, east_m, ORIGIN)
+    latitude, longitude, _ = pymap3d.ned2geodetic(north_m, east_m, 0.0, ORIGIN.latitude_deg, ORIGIN.longitude_deg, 0.0)
     fields = {"frame": 6, "z": 0.0, "x": round(latitude * 1e7), "y": round(longitude * 1e7)} | other
     four = (*parameters, 0.0, 0.0, 0.0, 0.0)[:4]
     place = fields["x"], fields["y"], fields["z"]
