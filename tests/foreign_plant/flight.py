@@ -1,7 +1,7 @@
 """The foreign craft and the controller at simulated time, in a current of 0.2 m/s that the controller does not know.
 
 Every message passes as bytes through the codec, the message validation and the clock synchronisation of a process. A
-scenario changes ``sources`` or ``accepts``, or sets the clock of the craft.
+scenario changes ``sources``, or sets the clock of the craft.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ import shapely
 
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.node import ControllerNode
-from ltv_mpc.messages import ClockStep, ControllerState, Message, Plan
+from ltv_mpc.messages import ClockStep, Message, Plan
 from ltv_mpc.node import DEFAULT_SOURCE, ReceivedMessage
-from ltv_mpc.references import Point, Reference
+from ltv_mpc.references import Point
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.mailbox import Frame
 from services.bus.message_validation import MessageValidator
@@ -29,7 +29,6 @@ from services.bus.wire import Header, WireError, encode
 from services.runtime.clock import VehicleClock
 from services.runtime.clock_offset import ClockOffset
 from services.runtime.clock_sync import ClockSync
-from services.runtime.node_io import SavedState
 from tests.foreign_plant.plant import STEP_NS, Actuators, Hull, Sender
 
 HERE = Path(__file__).parent
@@ -42,8 +41,8 @@ STEP_US = STEP_NS // 1000
 ESTIMATE_PERIOD_US, CYCLE_PERIOD_US = 100_000, 300_000
 DELAY_US = 60_000
 """Default time from the start of a cycle to the plan's arrival."""
-FIRST_EPOCH = 1
-"""Of the first controller; each later one has the next."""
+EPOCH = 1
+"""Of the controller."""
 
 
 Source: TypeAlias = tuple[str, Sender, Callable[[int], dict[str, Any]]]
@@ -59,9 +58,7 @@ class Flight:
 
     def __init__(
         self,
-        reference: Reference = ORIGIN,
         *,
-        vehicle: Path = HULL,
         config: ControllerConfig | None = None,
         reports: bool = True,
         heading_rad: float = 2.2,
@@ -75,12 +72,8 @@ class Flight:
         self.actuators, self.sender = Actuators(), Sender()
         self.sources: list[Source] = [("estimate", self.sender, self.hull.estimate)]
         """Of the estimates, which are published every 0.1 s."""
-        self.accepts: Callable[[dict[str, Any]], bool] = lambda _plan: True
-        """Whether the actuators accept a plan."""
-        self.vehicle, self.reference, self.config = Vehicle.load(str(vehicle)), reference, config or ControllerConfig()
-        self.node = self.new_node()
+        self.node = ControllerNode(Vehicle.load(str(HULL)), ORIGIN, config or ControllerConfig())
         self.validator = MessageValidator(RateLimit())
-        self.epoch = FIRST_EPOCH
         self.plans: list[Plan] = []
         """Plans in the controller's time."""
         self.clock_steps: list[ClockStep] = []
@@ -93,9 +86,8 @@ class Flight:
         self._delay_us = delay_us
         self._reports = reports
         self._clock = VehicleClock()
-        self._sync = ClockSync(self._clock, epoch=self.epoch)
+        self._sync = ClockSync(self._clock, epoch=EPOCH)
         self._runs = True
-        self._saved: SavedState | None = None
         self._inbox: list[ReceivedMessage] = []
         self._under_way: list[tuple[int, bytes]] = []
         self._sequence = 0
@@ -104,20 +96,9 @@ class Flight:
 
     # --- what a scenario does ---
 
-    def new_node(self) -> ControllerNode:
-        """Return a controller that has heard nothing."""
-        return ControllerNode(self.vehicle, self.reference, self.config)
-
     def kill_controller(self) -> None:
         """Kill the process of the controller; its plans that are under way still arrive."""
         self._runs, self._inbox = False, []
-
-    def start_controller(self, saved: SavedState) -> None:
-        """Start another process of the controller, which keeps its states in ``saved`` and continues from one there."""
-        self.node, self.validator, self.epoch = self.new_node(), MessageValidator(), self.epoch + 1
-        self._clock = VehicleClock()
-        self._sync = ClockSync(self._clock, epoch=self.epoch)
-        self._runs, self._saved, self._sequence = True, saved, 0
 
     def set_clock(self, step_s: float) -> None:
         """Set the clock of the craft."""
@@ -157,11 +138,7 @@ class Flight:
 
     def _step(self) -> None:
         while self._under_way and self._under_way[0][0] <= self.host_us:
-            plan = msgpack.unpackb(self._under_way.pop(0)[1])
-            if self.accepts(plan):
-                self.actuators.offer(plan, self.craft_ns)
-            else:
-                self.actuators.rejected += 1
+            self.actuators.offer(msgpack.unpackb(self._under_way.pop(0)[1]), self.craft_ns)
             self._report()
         if self.host_us % ESTIMATE_PERIOD_US == 0:
             for key, sender, fields in self.sources:
@@ -203,9 +180,6 @@ class Flight:
         t_ns = self._clock.read(self.host_us)
         assert t_ns is not None
         inbox, self._inbox = self._inbox, []
-        if self._sequence == 0 and self._saved is not None:
-            state = self._saved.restored(t_ns, self.host_us, own_clock=True)
-            inbox = inbox if state is None else [ReceivedMessage(state, self.epoch, 0, t_ns), *inbox]
         outputs = self.node.step(t_ns, inbox)
         if self.node.active_source is not None:
             self._sync.follow_source(self.node.active_source.epoch, self.host_us)
@@ -213,14 +187,12 @@ class Flight:
             if isinstance(message, Plan):
                 self.plans.append(message)
                 payload = encode(
-                    shifted(message, self._sync.published_shift_ns), Header(epoch=self.epoch, sequence=self._sequence)
+                    shifted(message, self._sync.published_shift_ns), Header(epoch=EPOCH, sequence=self._sequence)
                 )
                 self._sync.on_plan_sent(self._sequence, self.host_us)
                 self._sequence += 1
                 self._under_way.append((self.host_us + self._delay_us, payload))
             else:
-                if self._saved is not None and isinstance(message, ControllerState):
-                    self._saved.keep(shifted(message, self._sync.published_shift_ns), self.host_us)
                 self.outputs.append(message)
 
 

@@ -88,9 +88,9 @@ class MavlinkFlight(Flight):
     """Flight whose estimates and thrusts pass through the edge and the autopilot."""
 
     def __init__(
-        self, *arguments: Any, faults: Faults | None = None, key: bytes | None = None, v1: bool = False, **named: Any
+        self, *, faults: Faults | None = None, key: bytes | None = None, v1: bool = False, **named: Any
     ) -> None:
-        super().__init__(*arguments, reports=False, **named)
+        super().__init__(reports=False, **named)
         self.autopilot = EXAMPLE.Autopilot(Craft(self.hull), gcs_sysid=GCS, key=key, v1=v1)
         self.edge = MavlinkEdge(1, Settings(vehicle=vehicle(), ground_station=GCS), Codec(GCS, key, stamp=10**13))
         self.station: Any = dialect.MAVLink(None, srcSystem=GCS, srcComponent=190)

@@ -94,7 +94,7 @@ class Actuators:
         self._plans: list[dict[str, Any]] = []
         self._newest: dict[str, Any] = {"epoch": 0, "sequence": -1, "cycle_t_ns": 0, "t_ns": [0]}
         self._received_ns = 0
-        self.late = self.rejected = 0
+        self.late = 0
 
     def offer(self, plan: dict[str, Any], now_ns: int) -> None:
         """Add a plan that has arrived; it replaces the plans that start later."""
@@ -127,7 +127,7 @@ class Actuators:
             "plan_received_t_ns": self._received_ns,
             "plan_late": plan["sequence"] >= 0 and self._received_ns > plan["t_ns"][0],
             "plans_late": self.late,
-            "plans_rejected": self.rejected,
+            "plans_rejected": 0,
         }
 
 

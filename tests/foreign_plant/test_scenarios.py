@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from itertools import groupby
-from math import cos, hypot, sin
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from ltv_mpc.control.config import ControllerConfig
-from ltv_mpc.messages import Health, ModelCheck, Plan
+from ltv_mpc.messages import ModelCheck
 from tests.foreign_plant.flight import (
     CORNERS,
     CURRENT_MPS,
-    HULL,
     SIDE_M,
     SPEED_MPS,
     Flight,
@@ -85,23 +81,6 @@ def test_over_a_bad_link_to_an_autopilot_it_holds_and_follows() -> None:
 # --- estimates -------------------------------------------------------------------------------------------------------
 
 
-def test_dropouts_of_5_s_are_carried_and_of_30_s_end_at_rest_each_change_told_once() -> None:
-    flight = Flight(armed=True)
-    flight.fly(20.0)
-    sources, flight.sources = flight.sources, []
-    short = flight.fly(5.0)
-    flight.sources = sources
-    assert farthest_m(np.concatenate([short, flight.fly(10.0)])) < 0.15
-    began, flight.sources = len(flight.plans) - 1, []
-    flight.fly(20.5)  # until it lets go
-    assert hypot(*flight.hull.x[7:9]) < 0.1
-    flight.fly(9.5)
-    flight.sources = sources
-    flight.fly(1.0)
-    told = [health for (health, _), _ in groupby((plan.health, plan.health_why) for plan in flight.plans[began:])]
-    assert told == ["nominal", "degraded", "hold", "failsafe", "nominal"]
-
-
 def test_a_flood_of_2000_frames_a_second_under_another_epoch_moves_nothing() -> None:
     flight = Flight(armed=True)
     flight.fly(25.0)
@@ -141,73 +120,7 @@ def test_a_restarted_source_is_followed_also_with_a_clock_of_its_own(reports: bo
     assert farthest_m(flight.track[1000:]) < 0.3
 
 
-def antenna_flight(
-    folder: Path, antenna_m: tuple[float, float], *, declared: bool, tells_current: bool = False
-) -> tuple[Flight, list[tuple[float, float]]]:
-    """Return a flight whose estimates are those of an antenna, and the list to which it adds its thrusts."""
-    file = folder / "craft.toml"
-    table = "\n[reference_point]\nforward_m = {}\nstarboard_m = {}\n".format(*antenna_m)
-    file.write_text(HULL.read_text() + (table if declared else ""))
-    flight, thrusts_N, (x, y) = Flight(vehicle=file, armed=True, **AWAY), [], antenna_m
-    north_mps, east_mps = CURRENT_MPS
-    current = {"current": {"depth_m": [0.0], "north_mps": [north_mps], "east_mps": [east_mps]}}
-
-    def estimate(t_ns: int) -> dict[str, Any]:
-        thrusts_N.append(flight.hull.thrust_N)
-        fields = flight.hull.estimate(t_ns)
-        heading, r = fields["heading_rad"], fields["yaw_rate_radps"]
-        north, east = x * cos(heading) - y * sin(heading), x * sin(heading) + y * cos(heading)
-        fields["north_m"] += north
-        fields["east_m"] += east
-        fields["velocity_north_mps"] -= r * east
-        fields["velocity_east_mps"] += r * north
-        return fields | (current if tells_current else {})
-
-    flight.sources = [("estimate", flight.sender, estimate)]
-    return flight, thrusts_N
-
-
-def held(flight: Flight, thrusts_N: list[tuple[float, float]]) -> tuple[float, float]:
-    """Return the largest distance (m) and the mean abs thrust (N), from 40 s to 55 s."""
-    flight.fly(40.0)
-    thrusts_N.clear()
-    return farthest_m(flight.fly(15.0)), float(np.abs(thrusts_N).mean())
-
-
-def test_a_declared_antenna_costs_nothing_and_another_is_named(tmp_path: Path) -> None:
-    _, centre_N = held(*antenna_flight(tmp_path, (0.0, 0.0), declared=False))
-    off_m, mean_N = held(*antenna_flight(tmp_path, (0.5, 0.5), declared=True))
-    assert off_m < 0.05
-    assert mean_N < 1.1 * centre_N
-    undeclared, _ = antenna_flight(tmp_path, (0.5, 0.5), declared=False, tells_current=True)
-    undeclared.fly(61.0)
-    checks = [check for check in undeclared.outputs if isinstance(check, ModelCheck) and check.alarm]
-    first = next(check for check in checks if "[reference_point]" in check.why)
-    assert first.t_ns - undeclared.plans[0].cycle_t_ns < 60_000_000_000
-
-
 # --- actuators -------------------------------------------------------------------------------------------------------
-
-
-def time_s(plans: list[Plan], *, nominal: bool) -> float:
-    """Return the time from the first plan to the one from which on all are nominal, or none is."""
-    last = max((plan.cycle_t_ns for plan in plans if (plan.health is Health.NOMINAL) is not nominal), default=None)
-    return 0.0 if last is None else (last - plans[0].cycle_t_ns) * 1e-9 + 0.3
-
-
-def test_actuators_that_refuse_every_plan_degrade_the_health_with_the_reason() -> None:
-    flight = Flight(armed=True)
-    flight.fly(20.0)
-    assert {plan.health for plan in flight.plans[10:]} == {Health.NOMINAL}
-    flight.accepts, flight.plans = lambda _plan: False, []
-    flight.fly(10.0)
-    refused, flight.plans = flight.plans, []
-    flight.accepts = lambda _plan: True
-    flight.fly(20.0)
-    assert time_s(refused, nominal=False) <= 1.5
-    assert {plan.health_why for plan in refused if plan.health is Health.DEGRADED} == {"the actuators reject plans"}
-    assert time_s(flight.plans, nominal=True) <= 1.5
-    assert farthest_m(flight.track[-500:]) < 0.3
 
 
 def test_a_weak_thruster_in_the_hold_is_named_and_forgotten_when_it_has_recovered() -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import msgspec
 import numpy as np
 import pytest
@@ -53,16 +51,6 @@ def test_a_wrong_file_is_learned_and_named_within_two_corners(factors, named):
     assert off_m < 0.2
     assert named in pilot.controller.vehicle_file_check.why
     assert not flight.nominal[flight.t_s > 60.0].any()
-
-
-def test_a_drag_in_yaw_of_six_times_the_file_s_is_learned_and_named():
-    """The catamaran's, in a current that nothing tells and without reports; at its corners it can turn no faster."""
-    hull, vehicle = load("catamaran")
-    pilot = Ours(vehicle, reference(SQUARE, 1.0))
-    conditions = Conditions(current_mps=0.2 * hull.top_speed_mps(), reports_s=0.0)
-    fly("catamaran", pilot, conditions, Start.drawn(2, 0.3), duration_s=60.0)
-    assert math.exp(pilot.controller.observer.save().mean[9]) > 3.0
-    assert "drag in yaw looks 6." in pilot.controller.vehicle_file_check.why
 
 
 @pytest.mark.parametrize(

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import msgspec
+
 from ltv_mpc.control.node import PlanRejections
 from ltv_mpc.messages import Applied, Health
+from ltv_mpc.references import Point
 from ltv_mpc.safety.health import NOMINAL
 from tests.ltv_mpc import reports
+from tests.ltv_mpc.control.flights import Flight
 
 MS = 1_000_000
 PERIOD_NS = 300 * MS
@@ -48,3 +52,10 @@ def test_the_end_of_the_last_plan_degrades_until_there_is_a_new_one() -> None:
     for health in (Health.NOMINAL, Health.DEGRADED, Health.FAILSAFE, Health.FAILSAFE, Health.NOMINAL):
         rejections.add(report(0, health), 0)
         assert ("no plan arrives at the actuators" in rejections.health(0).why) is (health is Health.FAILSAFE)
+
+
+def test_a_node_says_that_its_plans_are_rejected() -> None:
+    flight = Flight(Point(north_m=0.0, east_m=0.0))
+    for rejected in range(4):
+        plan = flight.step(msgspec.structs.replace(report(rejected), t_ns=flight.estimate.t_ns))
+    assert (plan.health, plan.health_why) == (Health.DEGRADED, "the actuators reject plans")

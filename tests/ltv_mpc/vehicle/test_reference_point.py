@@ -10,9 +10,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from ltv_mpc.control.config import ControllerConfig
+from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.messages import Array, Estimate, Plan
+from ltv_mpc.references import Point
+from ltv_mpc.vehicle.parameters import Vehicle
 from ltv_mpc.vehicle.reference_point import ORIGIN, ReferencePoint
 from tests.ltv_mpc import plans
+from tests.ltv_mpc.control.flights import ARM, Flight
 
 POINT = ReferencePoint(forward_m=0.5, starboard_m=-0.3, down_m=0.7)
 FIELDS = ("north_m", "east_m", "velocity_north_mps", "velocity_east_mps", "heading_rad", "yaw_rate_radps")
@@ -36,18 +41,39 @@ def position_at(states: Array, dt_s: float) -> complex:
     return complex(north + vn * dt_s, east + ve * dt_s) + arm * np.exp(1j * (heading + r * dt_s))
 
 
+def measured_at(origin: Array, h: float = 1e-4) -> Estimate:
+    """Return the estimate of POINT: its velocity is the derivative of its position, here a central difference."""
+    position, velocity = position_at(origin, 0.0), (position_at(origin, h) - position_at(origin, -h)) / (2 * h)
+    return estimate_of(np.array([position.real, position.imag, velocity.real, velocity.imag, *origin[4:]]))
+
+
 @given(st.tuples(metres, metres, rates, rates, angles, rates))
 def test_position_and_velocity_of_a_point_become_those_of_the_origin(states: tuple[float, ...]) -> None:
-    """The velocity of the point is the derivative of its position, here a central difference."""
-    origin, h = np.array(states), 1e-4
-    position, velocity = position_at(origin, 0.0), (position_at(origin, h) - position_at(origin, -h)) / (2 * h)
-    measured = estimate_of(np.array([position.real, position.imag, velocity.real, velocity.imag, *origin[4:]]))
+    origin = np.array(states)
+    measured = measured_at(origin)
     found = POINT.to_origin(measured)
     np.testing.assert_allclose(states_of(found), origin, atol=1e-6)
     assert found.depth_m == pytest.approx(10.0 - 0.7)
     seen = POINT.to_origin(msgspec.structs.replace(measured, altitude_m=3.0))
     assert seen.altitude_m == pytest.approx(3.0 + 0.7)  # the bottom stays where it is
     assert found.altitude_m is None
+
+
+def test_a_node_with_a_declared_point_plans_as_one_with_estimates_of_the_origin() -> None:
+    paper, origin = Vehicle.load("paper"), np.array([3.0, -2.0, 0.2, 0.1, 1.1, 0.05])
+
+    def plan(vehicle: Vehicle, depth_m: float, estimate: Estimate) -> Plan:
+        node = ControllerNode(vehicle, Point(north_m=0.0, east_m=0.0), ControllerConfig())
+        made = Flight(None, node=node).run(0, ARM, msgspec.structs.replace(estimate, depth_m=depth_m))
+        assert made is not None
+        return made
+
+    told = plan(msgspec.structs.replace(paper, reference_point=POINT), 10.7, measured_at(origin))
+    right = POINT.of_plan(plan(paper, 10.0, estimate_of(origin)))
+    assert np.abs(told.thrust_N).max() > 10.0
+    np.testing.assert_allclose(told.thrust_N, right.thrust_N, atol=1e-3)
+    np.testing.assert_allclose(told.states, right.states, atol=1e-4)
+    assert told.reference_m == pytest.approx(right.reference_m)
 
 
 def test_its_covariance_is_transformed_by_the_derivative_of_the_conversion() -> None:

@@ -155,19 +155,6 @@ def test_information_and_a_covariance_filter_come_to_the_same(suite, walk, monke
         np.testing.assert_allclose(result.drift[k], drift, atol=3e-3 * max(np.trace(drift), 1e-12))
 
 
-def test_a_share_of_beams_that_is_lost_weighs_as_much_as_noise():
-    """Half of the beams missing is the same as sqrt(2) of the noise, by definition of information."""
-    lost = with_settings(PAPER, adcp={"missing_share": 0.5})
-    noisy = with_settings(PAPER, adcp={"beam_noise_sd_mps": math.sqrt(2) * PAPER.adcp.beam_noise_sd_mps})
-    config, trajectory = EstimatorConfig(deepest_m=7.0), swaying(5.0)
-    a, b, plain = (
-        bound(s, config, trajectory, at_s=[5.0], surface_time_s=1.0).covariance for s in (lost, noisy, PAPER)
-    )
-    sd = np.sqrt(np.diag(b[0]))
-    np.testing.assert_allclose(a[0] / np.outer(sd, sd), b[0] / np.outer(sd, sd), atol=1e-6)
-    assert a[0, 3, 3] > 1.05 * plain[0, 3, 3]
-
-
 def test_what_is_known_has_no_variance_and_nothing_has_drifted_at_submergence():
     config, trajectory = EstimatorConfig(deepest_m=7.0), swaying(2.0)
 
