@@ -372,18 +372,17 @@ _OF_VALUE = ("Expected ", "Invalid ", "Number out of range", "Integer ")
 def _explained(message: str, table: Mapping[str, Any], kind: Any, source: str) -> ConfigError:
     """Translate a msgspec error: add the value, all its bounds, and the name that was probably meant."""
     problem, path = split_error(message)
-    within = settings_schema.type_at(kind, table, path)
+    within, value = settings_schema.look_up(kind, table, path)
     where = f" in [{'.'.join(str(x) for x in path)}]" if path else ""
     if unknown := _UNKNOWN.fullmatch(problem):
         near = settings_schema.suggestion(unknown[1], settings_schema.field_names(within))
         return ConfigError(source, "", f"unknown key {format_value(unknown[1])}{where}{near}")
     if missing := _MISSING.fullmatch(problem):
-        inner = settings_schema.type_at(kind, table, (*path, missing[1]))
+        inner, _ = settings_schema.look_up(kind, table, (*path, missing[1]))
         valid = settings_schema.tag_values(within) or settings_schema.expected(inner)
         return ConfigError(source, "", f"key {format_value(missing[1])}{where} is missing: must be {valid}")
-    value = settings_schema.value_at(table, path)
     if problem.startswith(_OF_VALUE):
-        outer = settings_schema.type_at(kind, table, path[:-1]) if path else None
+        outer = settings_schema.look_up(kind, table, path[:-1])[0] if path else None
         valid = settings_schema.tag_values(outer) or settings_schema.expected(within, value)
         return ConfigError(source, toml_key(path), f"must be {valid}", value=value)
     return ConfigError(source, toml_key(path), problem, value=None if isinstance(value, dict) else value)

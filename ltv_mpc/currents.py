@@ -14,7 +14,6 @@ below its last. ``csv_table.py`` reads the file.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,7 @@ import numpy as np
 
 from ltv_mpc.csv_table import read_table
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.messages import Array, CurrentProfile
+from ltv_mpc.messages import Array, CurrentProfile, SpeedDeviations
 
 COLUMNS = ("depth_m", "v_north_mps", "u_east_mps")
 SD, SD_COMMON = "sd_mps", "sd_common_mps"
@@ -44,18 +43,14 @@ def grid_depths(deepest_m: float, cell_m: float) -> Array:
     return cell_m * np.arange(math.ceil(deepest_m / cell_m - 1e-9) + 1, dtype=np.float64)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class WaterPrior:
-    """Prior knowledge of the current before a dive (m/s, NED) at K strictly increasing depths; arrays (K,).
+class WaterPrior(CurrentProfile, frozen=True, kw_only=True, eq=False):
+    """Prior knowledge of the current before a dive.
 
     ``sd_mps`` is the standard deviation of the whole error of north and of east at each depth. ``sd_common_mps`` is
     that of the part that all depths share; it is at most the smallest ``sd_mps``.
     """
 
-    depth_m: Array
-    north_mps: Array
-    east_mps: Array
-    sd_mps: Array
+    sd_mps: SpeedDeviations
     sd_common_mps: float
 
 
@@ -92,7 +87,7 @@ def read_prior(path: str | Path) -> WaterPrior:
     return WaterPrior(depth_m=depth, north_mps=north, east_mps=east, sd_mps=sd, sd_common_mps=float(common[0]))
 
 
-def write_profile(path: str | Path, profile: CurrentProfile | WaterPrior) -> None:
+def write_profile(path: str | Path, profile: CurrentProfile) -> None:
     """Write a profile or a prior as CSV that ``read_profile`` or ``read_prior`` reads back bitwise.
 
     Parameters

@@ -18,8 +18,8 @@ Path: TypeAlias = Sequence[str | int]
 """Keys and list positions from the outermost table down: ``("thruster", "port", "arm_m")``."""
 
 
-def type_at(kind: Any, table: Any, path: Path) -> Type | None:
-    """Return the type at a path of a settings struct, or None.
+def look_up(kind: Any, table: Any, path: Path) -> tuple[Type | None, Any]:
+    """Return the type and the value at a path of settings; each may be None.
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ def type_at(kind: Any, table: Any, path: Path) -> Type | None:
     for step in path:
         field_type = _step(field_type, table, step)
         table = _value(table, step)
-    return _member(field_type, table)
+    return _member(field_type, table), table
 
 
 def field_names(kind: Type | None) -> tuple[str, ...]:
@@ -209,19 +209,6 @@ def _value(table: Any, step: str | int) -> Any:
         return table[step]
     except (KeyError, IndexError, TypeError):
         return None
-
-
-def value_at(table: Any, path: Path) -> Any:
-    """Return the value at a path, or None.
-
-    Parameters
-    ----------
-    table : settings.
-    path : keys and list positions.
-    """
-    for step in path:
-        table = _value(table, step)
-    return table
 
 
 def _leaves(kind: Type, prefix: str) -> Iterable[tuple[str, Type]]:

@@ -102,8 +102,7 @@ class Witness:
         if node == world.INTRUDER:
             message = msgspec.structs.replace(message, epoch=INTRUDERS_EPOCH)
         else:
-            source = {"epoch": message.epoch, "sequence": message.sequence, "t_ns": message.received_t_ns}
-            self._metrics.observe(message.message, **source)
+            self._metrics.observe(message.message, epoch=message.epoch, sequence=message.sequence)
             self._published += 1
         self._rejected += node == world.INTRUDER or isinstance(message.message, RejectedFrame)
         self._write(node, message)

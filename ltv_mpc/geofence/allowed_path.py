@@ -331,5 +331,5 @@ class Routes:
         places, none = standing[:, :2], np.zeros(len(standing))
         first = zones.first[-1] + 1 + np.arange(len(standing))
         points = Zones(places, first, radius=none, margin=none, circle=np.column_stack([places, none]))
-        together = Zones._make(map(np.concatenate, zip(zones, points, strict=True)))
+        together = Zones._make(np.concatenate(both) for both in zip(zones, points, strict=True))
         return together, np.concatenate([need, standing[:, 2]])

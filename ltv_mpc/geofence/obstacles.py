@@ -96,7 +96,7 @@ class ObstacleTable:
         self._new.clear()
         self._by_id, dropped = {}, set()
         for report in sorted(reports, key=lambda report: -report.t_ns):
-            if is_ahead(report, t_ns) or t_ns - report.t_ns > MAX_AGE_NS:
+            if not -MAX_AHEAD_NS <= t_ns - report.t_ns <= MAX_AGE_NS:
                 dropped.add(report.id)
             elif len(self._by_id) < MAX_OBSTACLES:
                 self._by_id.setdefault(report.id, report)
@@ -139,35 +139,6 @@ class ObstacleTable:
                 age_s = max((t_ns - report.t_ns) * 1e-9, STANDING_AGE_S)
                 rows.append((*predicted_m(report, t_ns), required_m(report, age_s, need_m)))
         return np.array(rows).reshape(-1, 3)
-
-
-def is_ahead(report: Obstacle, t_ns: int) -> bool:
-    """Return True if a report is from the future: its time is on another clock, and it must not be used.
-
-    Parameters
-    ----------
-    report : its time counts.
-    t_ns : now, on the clock of the estimates (ns).
-    """
-    return report.t_ns - t_ns > MAX_AHEAD_NS
-
-
-def ahead_reason(obstacles: Obstacles, t_ns: int) -> str:
-    """Return why a message with a report from the future is rejected; empty if it has none.
-
-    Parameters
-    ----------
-    obstacles : reports of some or all obstacles.
-    t_ns : now, on the clock of the estimates (ns).
-    """
-    for report in obstacles.obstacles:
-        if is_ahead(report, t_ns):
-            ahead_s = (report.t_ns - t_ns) * 1e-9
-            return (
-                f"t_ns of an obstacle is ahead of the vehicle's time: obstacle {report.id}, by {ahead_s:.1f} s: "
-                "use the clock of the estimates"
-            )
-    return ""
 
 
 def predicted_m(report: Obstacle, t_ns: int) -> Pair:

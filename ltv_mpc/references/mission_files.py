@@ -19,6 +19,7 @@ from ltv_mpc.errors import ConfigError, naming
 from ltv_mpc.references.geodesy import Origin
 from ltv_mpc.references.mission_items import (
     LAST,
+    MAX_SPEED_MPS,
     PLACES,
     RELATIVE,
     WAYPOINT,
@@ -31,8 +32,6 @@ from ltv_mpc.references.mission_items import (
 )
 from ltv_mpc.references.shapes import Waypoint
 
-MAX_SPEED_MPS = 20.0
-"""Largest speed of a reference."""
 MOST_REFUSALS = 10
 """Number of refused items that an error names."""
 _ITEM = tuple[int, int, int, int, float, float, float, float, float, float, float, float]

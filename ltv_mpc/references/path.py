@@ -63,18 +63,18 @@ class Path(NamedTuple):
         return float(self.lengths.sum())
 
 
-def smooth_curve(points: Array, curvature: Array, speed_mps: float = math.inf) -> Path:
+def smooth_curve(points: Array, depth: Array, curvature: Array, speed_mps: float = math.inf) -> Path:
     """Return the path along a smooth curve.
 
     Parameters
     ----------
     points : (K, 2) points close together, north and east (m).
+    depth : (K,) depth at the points (m), NaN without a depth.
     curvature : (K-1,) curvature of each piece (1/m).
     speed_mps : wanted speed (m/s).
     """
     K = len(points)
-    speed = np.full(K - 1, speed_mps)
-    return Path(points, np.full(K, np.nan), curvature, np.zeros(K - 1), np.zeros(K), speed, np.zeros(K))
+    return Path(points, depth, curvature, np.zeros(K - 1), np.zeros(K), np.full(K - 1, speed_mps), np.zeros(K))
 
 
 def round_corners(

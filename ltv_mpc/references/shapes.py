@@ -83,9 +83,6 @@ class Shape(BaseReference, frozen=True, kw_only=True):
     def _depths(self, count: int) -> Array:
         return np.full(count, math.nan if self.depth_m is None else self.depth_m)
 
-    def _smooth_curve(self, points: Array, curvature: Array) -> Path:
-        return smooth_curve(points, curvature, self.speed_mps)._replace(depth=self._depths(len(points)))
-
 
 def _initial_motion(path: Path, anchor: ReferenceStart) -> tuple[float, float]:
     """Return the vehicle's speed along the first piece (m/s) and the angle to turn before it (rad)."""
@@ -257,7 +254,8 @@ class Circle(Shape, frozen=True, kw_only=True, tag="circle"):
         whole = 2.0 * math.pi * self.turns
         at = np.linspace(0.0, whole, chord_count(whole, self.radius_m) + 1)
         points = _polar(local(self.centre, self.origin), self.bearing_deg, self.clockwise, at, self.radius_m)
-        return self._smooth_curve(points, np.full(len(at) - 1, 1.0 / self.radius_m))
+        curvature = np.full(len(at) - 1, 1.0 / self.radius_m)
+        return smooth_curve(points, self._depths(len(at)), curvature, self.speed_mps)
 
 
 class Spiral(Shape, frozen=True, kw_only=True, tag="spiral"):
@@ -286,7 +284,7 @@ class Spiral(Shape, frozen=True, kw_only=True, tag="spiral"):
         curvature = (middle**2 + 2.0 * b * b) / (middle**2 + b * b) ** 1.5
         if self.inwards:
             points, curvature = points[::-1].copy(), curvature[::-1].copy()
-        return self._smooth_curve(points, curvature)
+        return smooth_curve(points, self._depths(len(at)), curvature, self.speed_mps)
 
 
 def _polar(centre: tuple[float, float], bearing_deg: float, clockwise: bool, at: Array, r: Array | float) -> Array:

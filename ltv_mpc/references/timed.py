@@ -78,7 +78,7 @@ class Timed(BaseReference, frozen=True, kw_only=True, tag="timed"):
             ends = np.array([[anchor.north_m, anchor.east_m], table[2:4, 0]])
             distance_m = math.dist(*ends)
             if distance_m >= LEAD_IN_M:
-                leg, lead_m = smooth_curve(ends, np.zeros(1))._replace(depth=table[4, [0, 0]]), distance_m
+                leg, lead_m = smooth_curve(ends, table[4, [0, 0]], np.zeros(1)), distance_m
                 lead = fastest_schedule(leg, path_limits(vehicle), descent_rate_mps=self.descent_rate_mps).table
         # the target reaches the first row at its time, or as soon as possible after it
         begin = max(float(table[TIME, 0]), float(lead[TIME, -1]))

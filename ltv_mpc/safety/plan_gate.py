@@ -12,8 +12,8 @@ has ended before it arrives: with wrong stamps it would otherwise stop a vehicle
 
 One commander at a time. A commander is identified by its epoch, which each start of a controller draws at random.
 While plans of one commander keep coming, those of all others are rejected. A new commander is accepted once two planned
-replacements of the plan in force are missing (``health.plan_health``: 2.5 periods, at least 0.5 s), or the plan is at
-its end. So a restarted controller takes over with its first plan, and two controllers that send at once do not
+replacements of the plan in force are missing (``PlanQueue.health``: 2.5 periods, at least 0.5 s), or the plan is at its
+end. So a restarted controller takes over with its first plan, and two controllers that send at once do not
 alternate.
 """
 

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from typing import cast
 
 from ltv_mpc.messages import Applied, Array, Health, Plan, Triple
-from ltv_mpc.safety.health import plan_end_ns, plan_health
+from ltv_mpc.safety.health import plan_end_ns, plan_timeout_ns
 from ltv_mpc.safety.input_age import InputAge
 
 MAX_PLANS = 128
@@ -94,14 +94,18 @@ class PlanQueue:
         return plan_end_ns(plan.t_ns, self._age.median_ns, self._timeout_s)
 
     def health(self, t_ns: int) -> Health:
-        """Return the timeliness of the plans.
+        """Return the timeliness of the plans: degraded before the first one, and while two replacements are missing.
 
         Parameters
         ----------
         t_ns : current time (ns).
         """
-        left_ns = self.end_ns(self._plans[-1]) - t_ns if self._plans else -1
-        return plan_health(silent_ns=self._age.silent_ns(t_ns), period_ns=self._age.median_ns, left_ns=left_ns)
+        silent_ns = self._age.silent_ns(t_ns)
+        if silent_ns is None:
+            return Health.DEGRADED
+        if t_ns > self.end_ns(self._plans[-1]):
+            return Health.FAILSAFE
+        return Health.NOMINAL if silent_ns <= plan_timeout_ns(self._age.median_ns) else Health.DEGRADED
 
     @property
     def newest(self) -> Plan | None:

@@ -123,22 +123,37 @@ class ThrustLossDetector:
         row : the cycle.
         learn : add the cycle that leaves the window to the products.
         """
-        rows = self._rows
-        if self._cycles == len(rows) and learn:
-            accumulate(self._past, rows[-1])
-        self._cycles = min(self._cycles + 1, len(rows))
-        rows[1 : self._cycles] = rows[: self._cycles - 1].copy()
+        if self._cycles == len(self._rows) and learn:
+            (y,) = _clipped(self._rows[-1:], 0.0)
+            self._past = (1.0 - 1.0 / MEMORY_CYCLES) * self._past + y @ y.T
+        self._cycles = min(self._cycles + 1, len(self._rows))
+        rows = self._rows[: self._cycles]
+        rows[1:] = rows[:-1].copy()
         rows[0] = row
-        return evaluate(rows[: self._cycles], self._past)
+        gains = losses(_quadratic_forms(rows, self._past, 0.0))[..., 0].max(axis=1)
+        evidence = 0.5 * float(gains.max(initial=0.0))
+        if not evidence > 0.0:
+            return 0.0, 0.0, 0.0
+        (found,) = losses(_quadratic_forms(rows, self._past, 1.0)[[gains.argmax()]])  # a large loss is not an outlier
+        found[2, 0] -= 2.0 * ONE_THRUSTER_NATS
+        _, port, starboard = found[found[:, 0].argmax()].tolist()
+        return evidence, port, starboard
 
     def recovery_gain(self, loss: Pair) -> float:
-        """Return the log-likelihood ratio (nats) of the newest cycle, of no loss against a given one.
+        """Return the log-likelihood ratio of the newest cycle of no loss against a given one, in nats.
+
+        It is at most ``MAX_GAIN_NATS``. The mismatch is the most likely one of the cycles before the loss.
 
         Parameters
         ----------
         loss : lost shares of port and starboard.
         """
-        return recovery_gain(self._rows[0], self._past, np.array(loss))
+        (F,) = quadratic_form(self._past.reshape(1, -1), np.zeros((1, SIZE * SIZE)))
+        x = np.linalg.solve(F[1:6, 1:6], F[1:6, 0])
+        ((z, *phi),) = _clipped(self._rows[:1], 1.0)
+        residual = z - x @ _MIX[1:6, 1:] @ phi
+        gain = 0.5 * float(np.sum((residual - loss @ np.array(phi[:2])) ** 2 - residual**2))
+        return min(gain, MAX_GAIN_NATS)
 
 
 def _clipped(rows: Array, explained: float) -> Array:
@@ -154,25 +169,13 @@ def _clipped(rows: Array, explained: float) -> Array:
     return out
 
 
-def accumulate(past: Array, row: Array) -> None:
-    """Add a cycle that leaves the longest window to the products of z and the five phi, in place.
-
-    Parameters
-    ----------
-    past : (6, 6) products, which decay with ``MEMORY_CYCLES``.
-    row : (7, 2) row of the cycle, as in ``evaluate``.
-    """
-    (y,) = _clipped(row[None], 0.0)
-    past *= 1.0 - 1.0 / MEMORY_CYCLES
-    past += y @ y.T
-
-
 def _quadratic_forms(rows: Array, past: Array, explained: float) -> Array:
     """Return ``quadratic_form`` (W, 8, 8) of the windows that the cycles fill.
 
     Parameters
     ----------
-    rows, past : as in ``evaluate``.
+    rows : (n, 7, 2) cycles (``Row``), the newest first.
+    past : (6, 6) products of the cycles before.
     explained : as in ``_clipped``.
     """
     y = _clipped(rows, explained)
@@ -181,43 +184,6 @@ def _quadratic_forms(rows: Array, past: Array, explained: float) -> Array:
     products = (y @ y.transpose(0, 2, 1)).reshape(-1, SIZE * SIZE)
     within = np.tri(len(rows))[[length - 1 for length in WINDOWS if length <= len(rows)]] @ products
     return quadratic_form(within, past.ravel() + products.sum(axis=0) - within)
-
-
-def evaluate(rows: Array, past: Array) -> tuple[float, float, float]:
-    """Return the evidence (nats), and the most likely lost shares of the thrust of port and starboard.
-
-    Parameters
-    ----------
-    rows : (n, 7, 2) cycles (``Row``), the newest first.
-    past : (6, 6) products of the cycles before, by ``accumulate``.
-    """
-    gains = losses(_quadratic_forms(rows, past, 0.0))[..., 0].max(axis=1)
-    evidence = 0.5 * float(gains.max(initial=0.0))
-    if not evidence > 0.0:
-        return 0.0, 0.0, 0.0
-    (found,) = losses(_quadratic_forms(rows, past, 1.0)[[gains.argmax()]])  # a large loss is not an outlier
-    found[2, 0] -= 2.0 * ONE_THRUSTER_NATS
-    _, port, starboard = found[found[:, 0].argmax()].tolist()
-    return evidence, port, starboard
-
-
-def recovery_gain(row: Array, past: Array, loss: Array) -> float:
-    """Return the log-likelihood ratio (nats) of no loss against a loss in one cycle, at most ``MAX_GAIN_NATS``.
-
-    The mismatch is the most likely one of the cycles before the loss.
-
-    Parameters
-    ----------
-    row : (7, 2) newest cycle.
-    past : (6, 6) products of the cycles before the loss.
-    loss : (2,) lost shares of port and starboard.
-    """
-    (F,) = quadratic_form(past.reshape(1, -1), np.zeros((1, SIZE * SIZE)))
-    x = np.linalg.solve(F[1:6, 1:6], F[1:6, 0])
-    ((z, *phi),) = _clipped(row[None], 1.0)
-    residual = z - x @ _MIX[1:6, 1:] @ phi
-    gain = 0.5 * float(np.sum((residual - loss @ phi[:2]) ** 2 - residual**2))
-    return min(gain, MAX_GAIN_NATS)
 
 
 def losses(forms: Array) -> Array:

@@ -250,8 +250,7 @@ def _run_processes(
     from services.run.folder import REPORT
     from services.supervisor.supervisor import Supervisor
 
-    limits = [(thruster.min_N, thruster.max_N) for thruster in run_config.vehicle.thrusters]
-    screen = RunScreen(run_config.scenario.title, limits, files=run_config.files)
+    screen = RunScreen(run_config.scenario.title, run_config.vehicle, files=run_config.files)
     about = About(
         name=f"{run_config.scenario.title} · vehicle {run_config.vehicle.name}",
         report=str(folder.path / REPORT),

@@ -68,7 +68,7 @@ class FenceChanges:
         time_s = math.inf if after.time_to_zone_ns is None else after.time_to_zone_ns * 1e-9
         if self._is_new(time_s):
             found.append((Level.WARNING, f"the hull will be in a zone or obstacle in {time_s:.0f} s"))
-        why = "too old, or ahead of the vehicle's time"
+        why = "too old, or ahead of the clock of the estimates"
         return found + [(Level.WARNING, f"a report of obstacle {number} is dropped: {why}") for number in after.dropped]
 
     def in_force(self, fence: FenceInForce) -> list[tuple[Level, str]]:

@@ -10,8 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
-from ltv_mpc.geofence.obstacles import ahead_reason
-from ltv_mpc.messages import Clock, ClockStep, Message, Obstacles, RunEvent
+from ltv_mpc.messages import Clock, ClockStep, Message, RunEvent
 from ltv_mpc.node import Cycle, Grid, Node, OnMessage, Schedule
 from services.runtime.clock import VehicleClock, monotonic_us
 from services.runtime.clock_master import ClockMaster, ClockMasterSettings
@@ -126,9 +125,6 @@ class ProcessTime:
 
         ``epoch``: of its publisher. Raises ``ClockError`` if the clock cannot be followed.
         """
-        if isinstance(message, Obstacles):
-            now_ns = self.clock.read(received_us)  # None: not known yet; then the first cycle drops what is ahead
-            return "" if now_ns is None else ahead_reason(message, now_ns - self.sync.shift_ns(epoch, received_us))
         if not (self.syncs or isinstance(message, Clock)):
             return ""
         known = self.clock.newest is not None

@@ -115,25 +115,19 @@ def test_a_flood_of_2000_frames_a_second_under_another_epoch_moves_nothing() -> 
     assert not_of_the_newest(flight) == 0
 
 
-@pytest.mark.parametrize("gap_s", [0.0, 1.2])
-def test_a_second_source_30_m_away_is_reported_and_not_followed(gap_s: float) -> None:
-    """For ten seconds; ``gap_s``: meanwhile the true publisher is silent for so long."""
+def test_a_second_source_30_m_away_is_reported_and_not_followed() -> None:
+    """For ten seconds."""
     flight = Flight(armed=True)
     flight.fly(25.0)
     begin = len(flight.plans)
     flight.sources.append(off_north(flight, 30.0))
-    flight.fly(3.0)
-    true = flight.sources.pop(0)
-    flight.fly(gap_s)
-    flight.sources.insert(0, true)
-    flight.fly(7.0 - gap_s)
+    flight.fly(10.0)
     end = len(flight.plans)
     del flight.sources[1:]
     flight.fly(15.0)
     assert farthest_m(flight.track[1000:]) < 0.3
-    if not gap_s:
-        assert not_of_the_newest(flight) == 0
-        assert sum("second source on estimate" not in plan.health_why for plan in flight.plans[begin:end]) <= 4
+    assert not_of_the_newest(flight) == 0
+    assert sum("second source on estimate" not in plan.health_why for plan in flight.plans[begin:end]) <= 4
 
 
 @pytest.mark.parametrize(("reports", "behind_s"), [(False, -5.0), (True, 60.0)])

@@ -8,7 +8,6 @@ Not included  data that lose their meaning within seconds or only rate the filte
 from __future__ import annotations
 
 import zlib
-from dataclasses import asdict
 
 import msgspec
 import numpy as np
@@ -36,8 +35,7 @@ def settings_of(sensor_config: SensorConfig, config: EstimatorConfig, prior: Wat
     prior : water known from an earlier dive; None: that of ``config``.
     """
     own = msgspec.structs.replace(config, water_prior="")  # the profile itself counts, not its path
-    known = None if prior is None else asdict(prior)
-    return zlib.crc32(msgspec.json.encode((sensor_config, own, known), enc_hook=to_wire))
+    return zlib.crc32(msgspec.json.encode((sensor_config, own, prior), enc_hook=to_wire))
 
 
 def checkpoint_of(filter_: ErrorStateFilter, settings: int, restarts: int) -> EstimatorState:

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from ltv_mpc.currents import WaterPrior
 from ltv_mpc.messages import Applied, Array, CurrentProfile, Estimate, FenceInForce, Plan
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.reporting.plots import fence, vehicle_from_above
@@ -61,7 +60,7 @@ def _of_plan(
     return {"horizon": points(plan.states[:, :2]), "ahead": ahead, "target": target}
 
 
-def profile_table(profile: CurrentProfile | WaterPrior | None) -> Columns:
+def profile_table(profile: CurrentProfile | None) -> Columns:
     """Return the table of the current with its 2-sigma band, one row for each depth; empty if it is not known."""
     if profile is None:
         return {}

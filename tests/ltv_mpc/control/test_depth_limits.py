@@ -111,9 +111,6 @@ def test_the_rate_leaves_a_weak_thruster_the_force_to_brake() -> None:
     heave = {"heave.mass_kg": 2000.0, "heave.quadratic_damping_kgpm": 100.0}
     heavy = changed(PAPER, {"thruster.vertical.min_N": 0.0, **heave})
     assert braking_rate_radps(heavy) == pytest.approx(30.5 / 2000.0 / math.sqrt(32.0 / 100.0))
-    controller = Controller(heavy, deeper(200.0, 1.0), config(max_depth_m=60.0))
-    way, _ = dive(controller, heavy, 200.0, Estimate.at_rest(depth_m=20.0))
-    assert 58.0 < depths(way).max() < 60.02
     helpless = msgspec.structs.replace(heavy, net_buoyancy_N=-5.0)
     assert braking_rate_radps(helpless) == MIN_RATE_RADPS
 

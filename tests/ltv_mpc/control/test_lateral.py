@@ -79,23 +79,16 @@ ORIGIN = references.Point(north_m=0.0, east_m=0.0, depth_m=2.0)
 OFF = msgspec.structs.replace(START, current=water())
 
 
-def node_after(state: ControllerState, **settings: object) -> tuple[ControllerNode, Plan]:
-    """Return a node that was restored from a state, and its first plan."""
-    node = ControllerNode(PAPER, ORIGIN, ControllerConfig(**settings))
-    inbox = [ReceivedMessage(message, 1, k, 0) for k, message in enumerate((state, OFF))]
-    (plan,) = [message for message in node.step(0, inbox) if isinstance(message, Plan)]
-    return node, plan
-
-
-@pytest.mark.parametrize(("reduces", "shares"), [(True, (0.6, 1.0)), (False, (1.0, 1.0))])
-def test_a_node_plans_with_the_share_unless_the_settings_leave_it_at_the_alarm(reduces, shares):
+def test_a_node_plans_with_the_share_that_a_weak_thruster_delivers():
     state = ControllerState(t_ns=0, thrust_shares=(0.6, 1.0), authority=Authority.CONTROLLER)
-    _, plan = node_after(state, reduce_weak_thruster=reduces)
+    inbox = [ReceivedMessage(message, 1, k, 0) for k, message in enumerate((state, OFF))]
+    outputs = ControllerNode(PAPER, ORIGIN, ControllerConfig()).step(0, inbox)
+    (plan,) = [message for message in outputs if isinstance(message, Plan)]
     alone = Controller(PAPER, ORIGIN, ControllerConfig())
-    alone.set_thrust_shares(shares)
+    alone.set_thrust_shares((0.6, 1.0))
     np.testing.assert_array_equal(plan.thrust_N, alone.plan(OFF, t_ns=0).thrust_N)
     assert np.abs(plan.thrust_N[:, :2]).max() > 10.0
-    assert plan.health is (Health.DEGRADED if reduces else Health.NOMINAL)
+    assert plan.health is Health.DEGRADED
 
 
 @pytest.mark.parametrize(

@@ -72,7 +72,7 @@ def drifts(aid):
 
 
 def test_each_sensor_bounds_the_drift_of_dead_reckoning():
-    """Dead reckoning has 12 m after 60 s; ranges and fixes bound the position, bottom track the velocity."""
+    """Ranges and fixes bound the position, bottom track the velocity."""
     # sensor, what it brings, deviation at the end: the sea bed does not mend the 5 m that the satellites left
     for sensor, aid, sd_m in (("lbl", LblRange, 1.5), ("usbl", UsblFix, 1.5), ("bottom_track", BottomTrack, 5.2)):
         errors, estimator = drifts(aid)

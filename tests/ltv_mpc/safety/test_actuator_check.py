@@ -136,10 +136,9 @@ class Release:
         return np.zeros(3) if released else command_N
 
 
-@pytest.mark.parametrize(("current", "settings"), [((0.0, 0.0), {}), (CURRENT, {"names_plans": False})], ids=str)
-def test_released_thrusters_are_noticed_and_teach_no_current(current, settings):
+def test_released_thrusters_are_noticed_and_teach_no_current():
     release, beliefs = Release(), []
-    loop = Loop(current, release, **settings)
+    loop = Loop(CURRENT, release, names_plans=False)
     observer, update = loop.controller.observer, loop.controller.vehicle_file_check.update
 
     def watched(t_ns, *args, **options):
@@ -154,7 +153,7 @@ def test_released_thrusters_are_noticed_and_teach_no_current(current, settings):
     assert np.diff(degraded).max() < 1.2  # it does not toggle
     before = max((c for c in cycles if c.t_s < release.at_s), key=lambda c: c.t_s).learned_mps
     assert max(abs(c.learned_mps - before).max() for c in cycles if release.at_s <= c.t_s < degraded[-1]) <= 0.05
-    assert max(abs(c.learned_mps - current).max() for c in cycles if c.t_s > degraded[-1] + 10.0) <= 0.05
+    assert max(abs(c.learned_mps - CURRENT).max() for c in cycles if c.t_s > degraded[-1] + 10.0) <= 0.05
     back_m = np.array([np.hypot(*cycle.place_m) for cycle in cycles if cycle.t_s > degraded[-1]])
     assert back_m[np.argmax(back_m < 0.3) :].max() <= 0.3
     assert back_m[-1] < 0.1

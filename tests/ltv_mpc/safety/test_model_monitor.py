@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from ltv_mpc.messages import Applied, CurrentProfile, Estimate, ModelCheck
-from ltv_mpc.safety.model_monitor import ALARM_NATS, QUIET_CYCLES, SETTLING_MPS, ModelMonitor
+from ltv_mpc.safety.model_monitor import ALARM_NATS, QUIET_CYCLES, ModelMonitor
 from ltv_mpc.safety.thrust_loss_detector import WINDOWS
 from ltv_mpc.vehicle.dynamics import rates
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
@@ -46,10 +46,9 @@ class Sea:
         *,
         thrust: Thrust = surging,
         true: Coefficients | None = None,
-        settling_s: float = 0.0,
         vehicle: Vehicle = PAPER,
     ) -> None:
-        self.monitor = ModelMonitor(vehicle, settling_s=settling_s)
+        self.monitor = ModelMonitor(vehicle)
         self.share = np.ones(2)
         self.cost_Ns = 0.0
         self.messages: list[ModelCheck] = []
@@ -190,24 +189,6 @@ def test_an_alarm_is_published_at_once_and_ends_some_time_after_the_loss():
     assert sea.messages[-1].why == ""
 
 
-def settling(e: Estimate) -> Estimate:
-    """Add an error of 8 mm/s astern with each of seven estimates, as while fixes and pings are reconciled."""
-    return told(e, ahead_mps=-SETTLING_MPS * min(e.t_ns / (CYCLE * PERIOD_NS), 7.0), velocity=0.0, yaw=0.0)
-
-
-@pytest.mark.parametrize(("settling_s", "alarm"), [(5.0, False), (0.0, True)])
-def test_a_velocity_that_settles_in_the_first_seconds_of_thrust_is_no_loss(settling_s, alarm):
-    sea = Sea(settling_s=settling_s)
-    assert alarms(sea, 4.5, altered=settling) is alarm
-
-
-def test_in_the_first_seconds_of_thrust_a_loss_shows_in_the_turn():
-    sea = Sea(settling_s=5.0).sail(3.0)
-    sea.share[:] = 0.7, 1.0
-    sea.sail(2.0, until_alarm=True)
-    assert sea.monitor.alarm
-
-
 @pytest.mark.parametrize("missing", ["reports", "current"])
 def test_without_reports_or_a_current_nothing_is_published(missing):
     sea = Sea()
@@ -272,15 +253,6 @@ def test_a_restored_monitor_knows_the_behaviour_of_the_vehicle():
     for sea in (knowing, forgetful):
         sea.sail(3.0)
     assert knowing.monitor.evidence > 2.0 * forgetful.monitor.evidence
-
-
-def test_a_restored_monitor_does_not_wait_for_the_filter_to_settle():
-    before = Sea().sail(30.0)
-    sea = Sea(settling_s=5.0)
-    sea.monitor.restore(before.monitor.products)
-    sea.share[:] = 0.5
-    sea.sail(4.0, until_alarm=True)
-    assert sea.monitor.alarm
 
 
 def test_after_a_gap_the_window_starts_empty():

@@ -118,7 +118,7 @@ def test_zones_and_margins_are_reported_when_they_are_entered_and_left(changes: 
         ("error", f"zone entered: {buoy}"),
         ("info", f"zone left: {buoy}"),
         ("info", f"margin left: {buoy}"),
-        ("warning", "a report of obstacle 12 is dropped: too old, or ahead of the vehicle's time"),
+        ("warning", "a report of obstacle 12 is dropped: too old, or ahead of the clock of the estimates"),
         ("warning", "the plan lacks more than 1 cm of a required clearance at 3 of its points"),
         ("info", "the plan keeps the required clearances again"),
         ("warning", "no way round the zones leads to the target"),

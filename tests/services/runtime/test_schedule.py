@@ -1,20 +1,13 @@
-"""Time of a process: a grid skips no step, cycles do not overlap and do not drift, and nothing is from the future."""
+"""Schedule of a process: a grid skips no step, and cycles do not overlap and do not drift."""
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-from typing import Any
-
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from msgspec.structs import replace
 
-from ltv_mpc.messages import Clock, Estimate, ImuSample, Message, Obstacles
+from ltv_mpc.messages import ImuSample
 from ltv_mpc.node import Cycle, Grid, OnMessage
-from services.runtime.process_time import ClockOptions, ProcessTime, StepSchedule
-from tests.services.bus.messages import SHIP
-from tests.services.words import running_clock
+from services.runtime.process_time import StepSchedule
 
 PERIOD_NS = 300_000_000
 
@@ -66,20 +59,3 @@ def test_messages_need_no_timetable_and_a_grid_ends_after_its_last_step() -> Non
         ends.append(grid.finished)
         grid.advance(t)
     assert [*ends, grid.finished] == [False, False, False, True]
-
-
-@pytest.mark.parametrize("time_by", [running_clock(0), Estimate.at_rest()], ids=["clock", "stamps"])
-def test_obstacles_from_the_future_do_not_fit_the_time_with_the_reason(time_by: Message) -> None:
-    """As with stamps in UTC, where vehicle time began at 0; those with vehicle time fit."""
-    node: Any = SimpleNamespace(name="controller", schedule=Cycle(PERIOD_NS))
-    time = ProcessTime(node, ClockOptions(sync_to_inputs=True), epoch=1, publish=lambda _: None)
-    for now_us in range(0, 3_000_000, 100_000):
-        now_ns = now_us * 1000
-        message = time_by if isinstance(time_by, Clock) else replace(time_by, t_ns=now_ns)
-        assert time.take(message, 5, now_us) == ""
-    fits, ahead = (
-        Obstacles(t_ns=t_ns, obstacles=(replace(SHIP, t_ns=t_ns),)) for t_ns in (now_ns, 1_700_000_000_000_000_000)
-    )
-    assert time.take(fits, 6, now_us) == ""
-    reason = time.take(ahead, 6, now_us)
-    assert reason.startswith(f"t_ns of an obstacle is ahead of the vehicle's time: obstacle {SHIP.id}, by ")
