@@ -116,6 +116,14 @@ def test_the_shortest_round_trip_counts_for_thirty_seconds_widened_by_drift():
     assert clock.read(m_us).error_ns > 150_000_000
 
 
+@pytest.mark.parametrize("off_s", [-0.5, 3600.0])
+def test_implausible_receipt_times_are_ignored(off_s):
+    clock = ClockOffsetEstimator()
+    clock.add_stamp(YEARS_NS, 0)
+    clock.add_receipt(YEARS_NS + round(off_s * 1e9), 0)
+    assert clock.read(0).mode is ClockMode.ONE_WAY
+
+
 # --- steps of the clock: test_clock_sync.py has their sizes and their recognition -------------------------------------
 
 DAY_S = 86_400.0
