@@ -37,6 +37,9 @@ from ltv_mpc.messages import Array, Pair
 MISMATCH_SD = 0.05
 """Prior standard deviation of the relative errors of mass, drag and thrust: errors of 10 % raise no alarm."""
 
+MIN_LOSS = 0.1
+"""Smallest share that counts as lost. The model's error is as large, and it seems to change with the current's."""
+
 DIFFERENCE_SD = 0.02
 """Prior standard deviation of s, half of the difference of the thrust errors: both thrusters are of one make."""
 
@@ -137,7 +140,7 @@ class ThrustLossDetector:
         (found,) = losses(_quadratic_forms(rows, self._past, 1.0)[[gains.argmax()]])  # a large loss is not an outlier
         found[2, 0] -= 2.0 * ONE_THRUSTER_NATS
         _, port, starboard = found[found[:, 0].argmax()].tolist()
-        return evidence, port, starboard
+        return (evidence, port, starboard) if max(port, starboard) >= MIN_LOSS else (0.0, 0.0, 0.0)
 
     def recovery_gain(self, loss: Pair) -> float:
         """Return the log-likelihood ratio of the newest cycle of no loss against a given one, in nats.

@@ -152,6 +152,12 @@ def test_mismatch_of_ten_per_cent_of_everything_gives_no_alarm(thrust, drag, mas
     assert sea.monitor.evidence < 0.25 * ALARM_NATS
 
 
+def test_a_small_change_of_thrust_is_no_loss_however_certain_it_is():
+    sea = Sea().sail(12.0)
+    sea.share[:] = 1.0, 0.95
+    assert not alarms(sea, 12.0)
+
+
 def losing(sea: Sea, share: tuple[float, float]) -> Sea:
     """Sail on with less thrust until 3 s after the alarm, which comes when the loss has cost 10 N s and a cycle."""
     assert not sea.monitor.alarm
