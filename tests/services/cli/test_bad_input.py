@@ -74,6 +74,7 @@ CASES = [
     ("sim --lockstep --speed 5", "option --speed: cannot act together with --lockstep"),
     ("sim --lockstep --set run.speed=5", "option --set: run.speed: cannot act together with --lockstep"),
     ("sim --set water.sd=1", 'option --set: "water.sd": unknown key; did you mean "water.sd_mps"?'),
+    ("sim --set horizon_s=5", 'option --set: "horizon_s": unknown key; did you mean "controller.horizon_s"?'),
     ("sim --set water", 'option --set: "water": must be KEY=VALUE'),
     ("sim --set water=3", 'option --set: "water": is a table: set one of water.kind, '),
     ("sim --set water.kind=makrov", 'option --set: [water] kind = "makrov": must be "markov" or "measured"'),
@@ -143,11 +144,13 @@ CASES = [
     # --- tools ----------------------------------------------------------------------------------------------------
     ("dive plan --reference square --depth-m 5 --out fresh", "--depth-m"),
     ("dive plan --fixes 1,x --out fresh", "--fixes"),
+    ("dive plan --fixes 0 --out fresh", "from 1 to 3600"),
     ("dive plan --sensors perfect --out fresh", "perfect"),
     ("dive plan --reference nowhere --out fresh", "nowhere"),
     ("dive plan --duration-s 5 --out fresh", "--duration-s"),
     ("dive plan --depth-m 480 --out fresh", "largest depth"),
     ("profile --solvers osqp,ospq", 'option --solvers: "ospq"'),
+    ("profile --horizons 401", 'option --horizons: "401"'),
     ("profile --run nowhere", "RUN nowhere: no such folder or file"),
 ]
 

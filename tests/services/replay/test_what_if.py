@@ -67,6 +67,7 @@ def test_another_filter_setting_gives_other_estimates(locked_run: RunFolder, tmp
     ("text", "wrong"),
     [
         ("horizon_s = 5.0\ncell_m = 1.0\n", "its keys fit none of them"),
+        ("# nothing\n", "its keys fit none of them"),
         ("horizon_s = 5.0\nperiods_s = 0.3\n", 'unknown key "periods_s"; did you mean "period_s"?'),
     ],
 )

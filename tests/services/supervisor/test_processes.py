@@ -1,8 +1,9 @@
-"""Runs of real processes: complete, failed, orphaned. tests/system has one that is interrupted, and nodes alone."""
+"""Runs of real processes: complete, failed, interrupted, orphaned. tests/system has nodes alone, in another order."""
 
 from __future__ import annotations
 
 import io
+import json
 import os
 import shutil
 import signal
@@ -327,6 +328,20 @@ def test_a_killed_or_hung_process_continues_where_it_was_and_a_killed_sensors_pr
             assert 0 <= left_out <= min(1, node.outputs_lost)
             assert len({gap.epoch for gap in node.gaps}) <= 1
             assert node.node == "controller" or len(node.gaps) == 1
+
+
+def test_ctrl_c_ends_everything_in_order_and_leaves_a_valid_recording(launcher) -> None:
+    process, out = launcher
+    pids = children_of(process.pid)
+    assert len(pids) >= 7  # six, the guard, and who forks them
+    process.send_signal(signal.SIGINT)
+    until(lambda: not any(alive(pid) for pid in pids))
+    assert process.wait(PATIENCE_S) == 130  # after the summary of what there is
+    assert json.loads((out / "summary.json").read_text())["duration_s"] < 200.0
+    assert "localisation" in (out.parent / "launcher.log").read_text()
+    found, keys = recorded(out / "run.mcap")
+    assert (found.whole, found.missing) == (True, 0)
+    assert keys["world/truth"].messages > 0
 
 
 class ClosedStream(io.StringIO):

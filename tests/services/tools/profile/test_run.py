@@ -94,7 +94,7 @@ def test_each_solver_has_a_row_at_each_horizon_and_riccati_is_among_them(profile
 def test_a_cycle_with_flushed_caches_takes_longer_than_a_repeated_one(monkeypatch: pytest.MonkeyPatch) -> None:
     """The shortest cycle of each: a busy machine only lengthens them."""
     monkeypatch.setattr(measurement, "FLUSH_BYTES", 1 << 26)
-    found = measured(problems.simulated(6, 20, seed=3)[:1], OSQP, PIQP)
+    found = measured(problems.simulated(6, 20, seed=3)[-1:], OSQP, PIQP)
     assert sum(min(of.flushed_us) for of in found) > sum(min(of.repeated_us) for of in found)
 
 
@@ -151,14 +151,14 @@ class Wrong:
 
 
 def test_a_fast_wrong_answer_shows() -> None:
-    episode = problems.simulated(6, 20, seed=3)[0]
+    episode = problems.simulated(6, 20, seed=3)[-1]
     right, wrong = measured([episode], OSQP, Candidate("wrong", lambda *of: Wrong(OSQP.make_solver(*of))))
     assert np.median(right.thrust_error_N) < 1e-3
     assert np.median(wrong.thrust_error_N) > 100 * np.median(right.thrust_error_N)
 
 
 def test_limits_of_the_motion_are_part_of_the_problem_for_all() -> None:
-    episode = problems.simulated(6, 20, seed=3)[0]
+    episode = problems.simulated(6, 20, seed=3)[-1]
     limits = MotionLimits.symmetric(yaw_rate_radps=0.02)
     slow = episode._replace(config=msgspec.structs.replace(episode.config, limits=limits, tolerance=1e-7))
     found = measured([slow], OSQP, PIQP, solver_by_name("riccati"))
