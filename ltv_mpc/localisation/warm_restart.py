@@ -25,6 +25,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ltv_mpc.frames import GRAVITY_MPS2, roll_pitch_heading, rotation
+from ltv_mpc.localisation import current_model
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter.alignment import LEVELLING_NS, levelling_samples, mean_specific_force
 from ltv_mpc.localisation.filter.state import ACCELEROMETER_BIAS, ATTITUDE, GYRO_BIAS, POSITION, VELOCITY, Belief
@@ -32,7 +33,6 @@ from ltv_mpc.localisation.imu_dropout import TURN_WALK, add_velocity_walk
 from ltv_mpc.localisation.reinitialisation import ACCELERATION_SD_MPS2
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors.sensor import Measurement
-from ltv_mpc.localisation.water import current_model
 from ltv_mpc.messages import Array, Estimate, ImuSample
 
 MAX_ESTIMATE_LEAD_NS = 30_000_000_000

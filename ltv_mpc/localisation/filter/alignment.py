@@ -25,6 +25,7 @@ import numpy as np
 
 from ltv_mpc.currents import WaterPrior
 from ltv_mpc.frames import GRAVITY_MPS2, rotation, rotation_exp
+from ltv_mpc.localisation import current_model
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter.state import (
     ACCELEROMETER_BIAS,
@@ -39,7 +40,6 @@ from ltv_mpc.localisation.out_of_sequence import is_duplicate
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors import lever_arm
 from ltv_mpc.localisation.sensors.sensor import Measurement
-from ltv_mpc.localisation.water import current_model
 from ltv_mpc.messages import Array, CompassHeading, GnssFix, ImuSample, PressureDepth
 
 LEVELLING_NS = 200_000_000

@@ -9,7 +9,7 @@ from ltv_mpc.localisation import imu_dropout
 from ltv_mpc.messages import FilterStatus, ImuSample
 from tests.ltv_mpc.localisation.dives import CONFIG, REALISTIC, Run, S, dive, normalised
 
-SHALLOW = replace(CONFIG, deepest_m=60.0, kept_m=0.0)
+SHALLOW = replace(CONFIG, deepest_m=60.0)
 CHI_SQUARE_5 = 28.5  # 3e-5
 
 

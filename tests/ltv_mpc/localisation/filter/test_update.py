@@ -8,12 +8,12 @@ import pytest
 from ltv_mpc.frames import rotation
 from ltv_mpc.localisation.adaptive.failure_signatures import MAX_SD, FailureSignatures
 from ltv_mpc.localisation.config import EstimatorConfig
+from ltv_mpc.localisation.current_model import write_prior
 from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter
 from ltv_mpc.localisation.filter.state import Belief, Layout
 from ltv_mpc.localisation.filter.update import HEADING, correct, heading_coupling, reduce_covariance
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors.sensor import Rows
-from ltv_mpc.localisation.water.current_model import write_prior
 from ltv_mpc.messages import AdcpPing, ImuSample
 
 CONFIG = EstimatorConfig()
