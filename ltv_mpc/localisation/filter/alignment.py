@@ -58,17 +58,6 @@ HEAVE_SD_MPS = 0.1
 _Reading = TypeVar("_Reading", CompassHeading, PressureDepth)
 
 
-def levelling_samples(messages: Sequence[ImuSample | Measurement]) -> list[ImuSample]:
-    """Return the inertial samples of the first ``LEVELLING_NS``.
-
-    Parameters
-    ----------
-    messages : of any sensors, by time.
-    """
-    samples = [m for m in messages if isinstance(m, ImuSample)]
-    return [m for m in samples if m.t_ns <= samples[0].t_ns + LEVELLING_NS]
-
-
 def mean_specific_force(samples: Sequence[ImuSample]) -> tuple[Array, float]:
     """Return the mean specific force of samples (m/s2), (3,), in the body axes before the first, and their time (s).
 
@@ -138,7 +127,8 @@ class Alignment:
 
     def _samples(self) -> list[ImuSample]:
         """Return the samples for levelling: those of the first ``LEVELLING_NS`` after the fix."""
-        return levelling_samples(self._after_fix())
+        samples = [m for m in self._after_fix() if isinstance(m, ImuSample)]
+        return [m for m in samples if m.t_ns <= samples[0].t_ns + LEVELLING_NS]
 
     def _after_fix(self) -> list[ImuSample | Measurement]:
         """Return the messages after the fix, in order, without those that determine the belief itself."""

@@ -120,8 +120,12 @@ class ErrorStateFilter:
 
     @property
     def angular_rate_radps(self) -> Triple:
-        """Angular rate measured last (rad/s, FRD), bias included."""
+        """Angular rate measured last (rad/s, FRD), bias included; a restart sets that of the last estimate."""
         return self._state.angular_rate_radps
+
+    @angular_rate_radps.setter
+    def angular_rate_radps(self, measured: Triple) -> None:
+        self._state.angular_rate_radps = measured
 
     @property
     def angular_rate_variance(self) -> float:
