@@ -59,7 +59,6 @@ SlantRange: TypeAlias = Annotated[float, Meta(ge=0.0, le=10_000.0, extra={"unit"
 Speed: TypeAlias = Annotated[float, Meta(ge=-100.0, le=100.0, extra={"unit": "m/s"})]
 WaterSpeed: TypeAlias = Annotated[float, Meta(ge=-20.0, le=20.0, extra={"unit": "m/s"})]
 SpeedDeviation: TypeAlias = Annotated[float, Meta(ge=0.0, le=1e6, extra={"unit": "m/s"})]
-SpeedVariance: TypeAlias = Annotated[float, Meta(ge=-1e12, le=1e12, extra={"unit": "m2/s2"})]
 RandomWalk: TypeAlias = Annotated[float, Meta(ge=0.0, le=1e6, extra={"unit": "m/s per sqrt(s)"})]
 Angle: TypeAlias = Annotated[float, Meta(ge=-1e4, le=1e4, extra={"unit": "rad"})]  # headings may be unwrapped
 AngularRate: TypeAlias = Annotated[float, Meta(ge=-100.0, le=100.0, extra={"unit": "rad/s"})]
@@ -110,13 +109,11 @@ PositionRows: TypeAlias = Annotated[Array, Meta(extra={"wire": list[list[Positio
 ForceRows: TypeAlias = Annotated[Array, Meta(extra={"wire": list[list[Force]]})]
 VehicleStateRows: TypeAlias = Annotated[Array, Meta(extra={"wire": list[list[VehicleState]]})]
 FilterStates: TypeAlias = Annotated[Array, Meta(extra={"wire": list[FilterState]})]
-FilterStateRows: TypeAlias = Annotated[Array, Meta(extra={"wire": list[list[FilterState]]})]
 Covariances: TypeAlias = Annotated[Array, Meta(extra={"wire": list[Covariance]})]
 CovarianceMatrix: TypeAlias = Annotated[Array, Meta(extra={"wire": list[list[Covariance]]})]
 RotationMatrix: TypeAlias = Annotated[Array, Meta(extra={"wire": list[list[RotationEntry]]})]
 ModelProductMatrix: TypeAlias = Annotated[Array, Meta(extra={"wire": list[list[ModelProduct]]})]
 Knots: TypeAlias = Annotated[Times, Meta(extra={"wire": list[Time]})]
-Indices: TypeAlias = Annotated[Times, Meta(extra={"wire": list[Index]})]
 
 
 class Message(msgspec.Struct, frozen=True, kw_only=True, eq=False, forbid_unknown_fields=True, gc=False):
@@ -455,30 +452,6 @@ class LocalisationReport(Message, frozen=True, kw_only=True, eq=False):
     """at most four innovations of the newest message of each sensor since the last report"""
 
 
-class DroppedGridPoint(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Conditional distribution of the current at a depth that left the state vector of the filter.
-
-    ``localisation/water/column.py`` has its equation.
-    """
-
-    grid_point: Index
-    """index in the depth grid, from 0 at the surface"""
-    velocity_mps: tuple[Speed, Speed]
-    """velocity of the water over ground: north, east"""
-    conditioning_states: FilterStates
-    """q states at that time, on which the velocity is conditioned"""
-    regression: FilterStateRows
-    """2 x q, regression of the velocity on those states"""
-    covariance: CovarianceMatrix
-    """2 x 2, covariance of the velocity given those states"""
-    position_cross_covariance: CovarianceMatrix
-    """2 x 2, covariance of the velocity with the position"""
-    position_covariance: CovarianceMatrix
-    """2 x 2, covariance of the position given those states, at that time"""
-    walk_variance_m2ps2: SpeedVariance
-    """variance gained through the random walk up to that time"""
-
-
 class EstimatorState(Message, frozen=True, kw_only=True, eq=False):
     """State of the localisation filter, n states in the order of ``localisation/filter/state.py``.
 
@@ -501,14 +474,6 @@ class EstimatorState(Message, frozen=True, kw_only=True, eq=False):
     """of the states: lower triangle, row by row, n (n + 1) / 2 numbers"""
     epoch_t_ns: Time
     """satellite epoch whose position is among the states"""
-    first_grid_point: Index
-    """first point of the depth grid whose current is among the states"""
-    measured_grid_points: Indices
-    """points of the depth grid at which the profiler has measured"""
-    dropped_grid_points: tuple[DroppedGridPoint, ...]
-    """conditional distributions of grid points that left the states"""
-    walk_variance_m2ps2: SpeedVariance
-    """variance that each grid point has gained through the random walk"""
     restarts: Count
     """restarts of the filter so far"""
     estimate: Estimate | None = None

@@ -26,7 +26,6 @@ from ltv_mpc.messages import (
     ControllerState,
     CurrentProfile,
     DisturbanceState,
-    DroppedGridPoint,
     Estimate,
     EstimatorState,
     ImuSamples,
@@ -318,7 +317,7 @@ def _zone(s: ZoneInForce) -> Reason:
 
 
 Shape: TypeAlias = tuple[int | str, ...]
-LEAST = {"K": 1, "N + 1": 2, "n": 0, "m": 0, "q": 0}
+LEAST = {"K": 1, "N + 1": 2, "n": 0, "m": 0}
 """Smallest number that each letter of a shape may stand for."""
 
 SHAPES: Mapping[type, Mapping[str, Shape]] = {
@@ -329,10 +328,7 @@ SHAPES: Mapping[type, Mapping[str, Shape]] = {
     Plan: {"t_ns": ("N + 1",), "thrust_N": ("N + 1", 3), "states": ("N + 1", 6)},
     ControllerState: {"model_products": (6, 6)},
     DisturbanceState: {"mean": (12,), "covariance": (12, 12)},
-    DroppedGridPoint: {"conditioning_states": ("q",), "regression": (2, "q")}
-    | dict.fromkeys(("covariance", "position_cross_covariance", "position_covariance"), (2, 2)),
-    EstimatorState: {"x": ("n",), "covariance": ("m",), "measured_grid_points": ("q",)}
-    | dict.fromkeys(("attitude", "mounting"), (3, 3)),
+    EstimatorState: {"x": ("n",), "covariance": ("m",), "attitude": (3, 3), "mounting": (3, 3)},
     ZoneInForce: {"vertices_m": ("K", 2)},
 }
 """Shapes of the arrays of each message type that has any."""

@@ -19,8 +19,8 @@ from ltv_mpc.errors import ConfigError, format_value
 from ltv_mpc.localisation.config import EstimatorConfig
 
 MAX_WATER_CELLS = 20_000
-MAX_ESTIMATOR_CELLS = 500
-"""Each cell adds two states to the filter, and the covariance grows with the square of their number."""
+MAX_ESTIMATOR_CELLS = 220
+"""Each cell adds two states to the filter. With more, a checkpoint of its covariance would exceed a message."""
 
 GRAVITY_MPS2 = 9.81
 STEEPEST = 1.0 / 7.0

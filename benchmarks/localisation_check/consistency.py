@@ -102,7 +102,7 @@ def errors(truth: TrueState, belief: Belief) -> Array:
     """
     layout, x = belief.layout, belief.x
     e = np.zeros(layout.size)
-    water = truth.water_mps[_window(belief)]
+    water = truth.water_mps
     e[POSITION] = truth.position_m - x[POSITION]
     e[VELOCITY] = truth.velocity_mps - x[VELOCITY]
     e[ATTITUDE] = rotation_log(np.ascontiguousarray(truth.rotation @ belief.R.T))  # R_true = exp(phi^) R
@@ -129,7 +129,7 @@ def quantities(belief: Belief, seen: Mask) -> dict[str, npt.NDArray[np.int64]]:
     def of(*slices: slice) -> npt.NDArray[np.int64]:
         return np.concatenate([np.arange(a.start, a.stop) for a in slices])
 
-    cells = np.flatnonzero(seen[_window(belief)])
+    cells = np.flatnonzero(seen)
     states = {
         "position": of(POSITION),
         "velocity": of(VELOCITY),
@@ -154,12 +154,6 @@ def nees(belief: Belief, truth: TrueState, seen: Mask) -> dict[str, tuple[float,
         if len(i):
             result[name] = squared(e[i], P[np.ix_(i, i)]), len(i)
     return result
-
-
-def _window(belief: Belief) -> slice:
-    """Return the slice of the grid that is in the state."""
-    cells = belief.layout.north.stop - belief.layout.north.start
-    return slice(belief.column.first, belief.column.first + cells)
 
 
 def nodes_around(depths_m: Array, cell_m: float, nodes: int) -> Mask:

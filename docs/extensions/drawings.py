@@ -197,7 +197,7 @@ def estimator() -> str:
     listed = re.findall(r"\(``(\w+\.py)``\)", ast.get_docstring(ast.parse((folder / "estimator.py").read_text())) or "")
     files = [name for name in dict.fromkeys(listed) if name not in ("warm_restart.py", "alignment.py")]
     parts = [(name.removesuffix(".py"), _first_sentence(folder / name)) for name in files]
-    inner = [(name, _first_sentence(folder / name / "__init__.py")) for name in ("filter", "adaptive", "water")]
+    inner = [(name, _first_sentence(folder / name / "__init__.py")) for name in ("filter", "adaptive")]
     drawing, y, sequencing = Drawing(), 20.0, 0.0
     for i, sensor in enumerate(SENSORS):
         drawing.box(20, 20 + 30 * i, 170, 24)

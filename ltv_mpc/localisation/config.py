@@ -19,10 +19,7 @@ class EstimatorConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     current_correlation_length_m: Annotated[float, Meta(gt=0, le=1000)] = 8.0
     current_change_mps_per_rts: Annotated[float, Meta(ge=0, le=1)] = 0.0  # slow random walk of each cell in time
     cell_m: Annotated[float, Meta(gt=0, le=100)] = 1.0
-    deepest_m: Annotated[float, Meta(gt=0, le=2000)] = 70.0
-    # Distance above or below the vehicle over which cells are kept, besides those that a beam or a plan may reach. 70 m
-    # covers a whole descent to 40 m. The cost grows with the square of the number of cells.
-    kept_m: Annotated[float, Meta(ge=0, le=2000)] = 70.0
+    deepest_m: Annotated[float, Meta(gt=0, le=2000)] = 70.0  # the cost grows with the square of the number of cells
     water_prior: str = ""  # a profile saved earlier, CSV with sd_mps and sd_common_mps; empty: the prior above
     # Change of the water since that profile, at each depth: an assumption, a quarter of current_sd_mps.
     water_prior_change_sd_mps: Annotated[float, Meta(ge=0, le=5)] = 0.01

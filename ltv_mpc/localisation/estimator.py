@@ -131,7 +131,7 @@ class Estimator:
         self._checkpoints = CheckpointSchedule()
         self._screening = SensorScreening()
         self._altimeter = Altimeter(sensor_config)
-        self._sequencing = Sequencing(sensor_config, self._schedule, self._account, self._publish, progress)
+        self._sequencing = Sequencing(self._schedule, self._account, self._publish, progress)
         self._supervision = Supervision(sensor_config, config, prior, self._sequencing, self._account)
 
     @property

@@ -98,17 +98,6 @@ def coast(x: Array, R: Array, Phi: Array, Q: Array, seconds: float, gap_s: float
         noise[states] = sd**2 * (1.0 - keep * keep)
     Phi[:, :] = A @ Phi
     Q[:, :] = A @ Q @ A.T + np.diag(noise)
-    add_velocity_walk(Q, seconds)
-
-
-def add_velocity_walk(Q: Array, seconds: float) -> None:
-    """Add the noise of a velocity that is a random walk to a covariance of position and velocity.
-
-    Parameters
-    ----------
-    Q : covariance whose first states are position and velocity; changes.
-    seconds : duration of the walk (s).
-    """
     p, v = np.arange(POSITION.start, POSITION.stop), np.arange(VELOCITY.start, VELOCITY.stop)
     Q[p, p] += VELOCITY_WALK * seconds**3 / 3.0
     Q[p, v] += VELOCITY_WALK * seconds**2 / 2.0

@@ -9,8 +9,7 @@ Late    The newest snapshot at or before the message's time is restored, and its
         so the belief is the same bit for bit.
 Counts  Every measurement is counted and observed once. A repeated correction is neither counted nor observed, although
         the gate may now decide differently.
-Cost    A snapshot copies the covariance. A late message repeats the filter's work since the snapshot. With a longer
-        spacing the cost of copying falls, and that of repeating grows by half of the spacing.
+Cost    A snapshot copies the covariance. A late message repeats the filter's work since the snapshot.
 """
 
 from __future__ import annotations
@@ -22,18 +21,16 @@ from typing import NamedTuple
 
 from ltv_mpc.localisation.adaptive.process_noise import BACK_NS, NoiseLevel
 from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter, FilterState
-from ltv_mpc.localisation.sensor_config import SensorConfig
-from ltv_mpc.localisation.sensors import BY_MESSAGE, fitted
-from ltv_mpc.localisation.sensors.sensor import Availability, Measurement
-from ltv_mpc.localisation.sensors.settings import latency_ns
+from ltv_mpc.localisation.sensors import BY_MESSAGE
+from ltv_mpc.localisation.sensors.sensor import Measurement
 from ltv_mpc.messages import ImuSample
 from ltv_mpc.node import Progress, no_progress
 
 REACH_NS = 1_250_000_000
 """Maximum age of a measurement: the longest latency that a sensors file may have, and a quarter for the bus."""
 
-_SHORT_SPACING_NS = 250_000_000
-_LONG_SPACING_NS = 1_000_000_000
+SPACING_NS = 250_000_000
+"""Time between two snapshots."""
 
 
 class Operation(NamedTuple):
@@ -68,30 +65,19 @@ def is_duplicate(first: ImuSample | Measurement, second: ImuSample | Measurement
     return source is None or bool(source(first) == source(second))
 
 
-def snapshot_spacing_ns(sensor_config: SensorConfig) -> int:
-    """Return the time between two snapshots (ns): longer if only a bus makes messages late."""
-    late = any(
-        sensor.availability is Availability.INTERMITTENT or latency_ns(settings) != 0
-        for sensor, settings in fitted(sensor_config)
-    )
-    return _SHORT_SPACING_NS if late else _LONG_SPACING_NS
-
-
 class MeasurementBuffer:
     """Buffer of a filter's past, by which late measurements correct it at their own time."""
 
-    def __init__(self, filter_: ErrorStateFilter, spacing_ns: int, progress: Progress = no_progress) -> None:
+    def __init__(self, filter_: ErrorStateFilter, progress: Progress = no_progress) -> None:
         """Create a buffer that begins at the filter's time.
 
         Parameters
         ----------
         filter_ : filter to propagate and to correct.
-        spacing_ns : time between two snapshots (ns).
         progress : called with every propagation, as a sign of life; a late message may need a thousand.
         """
         self.filter = filter_
         self._progress = progress
-        self._spacing_ns = spacing_ns
         self._segments = [_Segment(filter_.snapshot(), [])]
 
     def advance(self, t_ns: int, sample: ImuSample) -> None:
@@ -105,7 +91,7 @@ class MeasurementBuffer:
         now_ns = self.filter.belief.t_ns
         segments = self._segments
         # A snapshot is taken when the filter leaves an instant: it then holds all corrections of that instant.
-        if now_ns - segments[-1].t_ns >= self._spacing_ns:
+        if now_ns - segments[-1].t_ns >= SPACING_NS:
             segments.append(_Segment(self.filter.snapshot(), []))
             while len(segments) > 1 and segments[1].t_ns <= now_ns - BACK_NS:
                 del segments[0]

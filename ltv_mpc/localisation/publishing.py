@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from ltv_mpc.frames import roll_pitch_heading
+from ltv_mpc.localisation import current_model
 from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter
 from ltv_mpc.localisation.filter.state import ATTITUDE, CORE, GYRO_BIAS, Belief
 from ltv_mpc.localisation.sensor_config import SensorConfig
@@ -22,7 +23,6 @@ from ltv_mpc.localisation.sensors import fitted
 from ltv_mpc.localisation.sensors.compass import heading_partials
 from ltv_mpc.localisation.sensors.sensor import Availability
 from ltv_mpc.localisation.sensors.settings import latency_ns
-from ltv_mpc.localisation.water import current_model
 from ltv_mpc.messages import Array, Estimate
 
 _REPORTED = (0, 1, 3, 4)

@@ -29,13 +29,13 @@ import msgspec
 import numpy as np
 
 from ltv_mpc.currents import WaterPrior
+from ltv_mpc.localisation import current_model
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter.alignment import LEVELLING_NS, Alignment
 from ltv_mpc.localisation.filter.state import Belief
 from ltv_mpc.localisation.health import WINDOW_NS
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors.sensor import Measurement
-from ltv_mpc.localisation.water import current_model
 from ltv_mpc.messages import Array, CompassHeading, FilterStatus, GnssFix, ImuSample
 
 MAX_INCONSISTENT_NS = 10_000_000_000
@@ -226,7 +226,6 @@ class Reinitialisation:
         belief.P[:, indices] = 0.0
         belief.P[np.ix_(indices, indices)] = known.P[np.ix_(indices, indices)]
         belief.mounting = known.mounting.copy()
-        belief.column = known.copy().column
         current_model.add_random_walk(belief, self._config, (belief.t_ns - known.t_ns) * 1e-9)
         return True
 

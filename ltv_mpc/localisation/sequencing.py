@@ -16,10 +16,9 @@ from collections.abc import Callable, Sequence
 
 from ltv_mpc.localisation import imu_dropout
 from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter
-from ltv_mpc.localisation.out_of_sequence import MeasurementBuffer, snapshot_spacing_ns
+from ltv_mpc.localisation.out_of_sequence import MeasurementBuffer
 from ltv_mpc.localisation.publishing import EstimateSchedule
 from ltv_mpc.localisation.reinitialisation import is_finite
-from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors import BY_MESSAGE
 from ltv_mpc.localisation.sensors.sensor import Measurement
 from ltv_mpc.localisation.shadow_filter import ShadowFilter
@@ -39,7 +38,6 @@ class Sequencing:
 
     def __init__(
         self,
-        sensor_config: SensorConfig,
         schedule: EstimateSchedule,
         account: Counter[str],
         publish: Callable[[ErrorStateFilter], None],
@@ -49,14 +47,12 @@ class Sequencing:
 
         Parameters
         ----------
-        sensor_config : settings of the sensors.
         schedule : instants of the estimates; the filter stops at each of them.
         account : counts by "<sensor>.<outcome>", updated in place.
         publish : called with the filter when it stands at an estimate's instant and the estimate is complete.
         progress : called with every propagation step, as a sign of life.
         """
         self.shadow: ShadowFilter | None = None
-        self._spacing_ns = snapshot_spacing_ns(sensor_config)
         self._schedule = schedule
         self._account = account
         self._publish = publish
@@ -77,7 +73,7 @@ class Sequencing:
         ----------
         filter_ : the filter that all further messages are applied to.
         """
-        self._buffer = MeasurementBuffer(filter_, self._spacing_ns, self._progress)
+        self._buffer = MeasurementBuffer(filter_, self._progress)
 
     def apply(self, message: ImuSample | Measurement) -> None:
         """Apply one message to the filter, or store it until the inertial sample that covers it.

@@ -52,16 +52,15 @@ REQUIRED = ("adcp", "pressure")
 class ShadowFilter(MeasurementBuffer):
     """Copy of a filter that follows the active one step by step, with a buffer of its own."""
 
-    def __init__(self, filter_: ErrorStateFilter, spacing_ns: int, past: Reinitialisation) -> None:
+    def __init__(self, filter_: ErrorStateFilter, past: Reinitialisation) -> None:
         """Copy a filter whose innovations have just become inconsistent.
 
         Parameters
         ----------
         filter_ : the active filter.
-        spacing_ns : time between two snapshots of its buffer (ns).
         past : its good positions and beliefs up to now, for the time after the copy has taken over.
         """
-        super().__init__(filter_.fork(), spacing_ns)
+        super().__init__(filter_.fork())
         self.filter.observers.append(self._observe)
         self.past = past
         self._until_ns = self.filter.belief.t_ns + MAX_AGE_NS

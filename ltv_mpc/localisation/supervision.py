@@ -21,7 +21,6 @@ from ltv_mpc.localisation.filter.alignment import Alignment
 from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter
 from ltv_mpc.localisation.filter.state import Belief
 from ltv_mpc.localisation.health import HealthMonitor, InnovationSamples, filter_status
-from ltv_mpc.localisation.out_of_sequence import snapshot_spacing_ns
 from ltv_mpc.localisation.reinitialisation import RESTARTED_NS, Reinitialisation, is_finite, is_usable
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors.sensor import Measurement
@@ -139,8 +138,7 @@ class Supervision:
         ):
             self._replacement = self.reinitialisation.begin(t_ns, self._recent)
         elif self.reinitialisation.inconsistent_since_ns == t_ns and self._shadow is None:
-            spacing_ns = snapshot_spacing_ns(self._sensor_config)
-            self._set_shadow(ShadowFilter(filter_, spacing_ns, self.reinitialisation.fork()))
+            self._set_shadow(ShadowFilter(filter_, self.reinitialisation.fork()))
         elif self.reinitialisation.is_belief_due(t_ns) and is_usable(filter_.belief):
             self.reinitialisation.store(filter_.propagated_belief())
 

@@ -28,7 +28,7 @@ def plan_(
         ),
     ] = None,
     depth_m: Annotated[
-        float | None, option("D", "Depth at the end of a vertical descent (m). Default: 40.", min=1)
+        float | None, option("D", "Depth at the end of a vertical descent (m). Default: 40.", min=1, max=1000)
     ] = None,
     reference: Annotated[str | None, option("NAME|FILE", "Reference to follow instead of a vertical descent.")] = None,
     fixes: Annotated[str, option("N,...", "Satellite fixes before the dive. The first is the plan.")] = "1,10,30,120",

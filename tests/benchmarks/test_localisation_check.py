@@ -18,7 +18,7 @@ from benchmarks.localisation_check.judgement import judge, mean_square, p_of_mea
 from benchmarks.localisation_check.probe import Squares, descend
 from ltv_mpc.frames import rotation, rotation_exp
 from ltv_mpc.localisation.config import EstimatorConfig
-from ltv_mpc.localisation.filter.state import Belief, Layout, grid
+from ltv_mpc.localisation.filter.state import Belief, Layout
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from services.tools import lockstep_run
 
@@ -43,9 +43,8 @@ def belief_and_truth(sensors):
     belief.P[:] = A @ A.T
     error, true = 0.3 * rng.standard_normal(layout.size), belief.copy()
     true.apply_error(error)
-    x, water = true.x, rng.standard_normal((len(grid(CONFIG)), 2))
-    cells = layout.north.stop - layout.north.start
-    water[belief.column.first : belief.column.first + cells] = np.column_stack([x[layout.north], x[layout.east]])
+    x = true.x
+    water = np.column_stack([x[layout.north], x[layout.east]])
     beam, near, compass = (np.zeros(4), np.zeros(4), 0.0)
     if sensors is REALISTIC:
         beam, near, compass = x[layout.beam_bias], x[layout.near_bias], float(x[layout.compass_bias][0])

@@ -360,8 +360,8 @@ class AdaptiveProcessNoise:
         error : (n,) correction of the states.
         """
         if self.level(belief.t_ns) is NoiseLevel.FAST:
-            layout, slots = belief.layout, shallower - belief.column.first
-            self._follow(belief, np.array([error[layout.north][slots].mean(), error[layout.east][slots].mean()]))
+            north, east = error[belief.layout.north], error[belief.layout.east]
+            self._follow(belief, np.array([north[shallower].mean(), east[shallower].mean()]))
         else:
             self._drift = None
 

@@ -25,6 +25,7 @@ import numpy as np
 
 from ltv_mpc.currents import WaterPrior
 from ltv_mpc.frames import GRAVITY_MPS2, rotation, rotation_exp
+from ltv_mpc.localisation import current_model
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter.state import (
     ACCELEROMETER_BIAS,
@@ -39,7 +40,6 @@ from ltv_mpc.localisation.out_of_sequence import is_duplicate
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors import lever_arm
 from ltv_mpc.localisation.sensors.sensor import Measurement
-from ltv_mpc.localisation.water import current_model
 from ltv_mpc.messages import Array, CompassHeading, GnssFix, ImuSample, PressureDepth
 
 LEVELLING_NS = 200_000_000
@@ -56,17 +56,6 @@ HEAVE_SD_MPS = 0.1
 
 
 _Reading = TypeVar("_Reading", CompassHeading, PressureDepth)
-
-
-def levelling_samples(messages: Sequence[ImuSample | Measurement]) -> list[ImuSample]:
-    """Return the inertial samples of the first ``LEVELLING_NS``.
-
-    Parameters
-    ----------
-    messages : of any sensors, by time.
-    """
-    samples = [m for m in messages if isinstance(m, ImuSample)]
-    return [m for m in samples if m.t_ns <= samples[0].t_ns + LEVELLING_NS]
 
 
 def mean_specific_force(samples: Sequence[ImuSample]) -> tuple[Array, float]:
@@ -138,7 +127,8 @@ class Alignment:
 
     def _samples(self) -> list[ImuSample]:
         """Return the samples for levelling: those of the first ``LEVELLING_NS`` after the fix."""
-        return levelling_samples(self._after_fix())
+        samples = [m for m in self._after_fix() if isinstance(m, ImuSample)]
+        return [m for m in samples if m.t_ns <= samples[0].t_ns + LEVELLING_NS]
 
     def _after_fix(self) -> list[ImuSample | Measurement]:
         """Return the messages after the fix, in order, without those that determine the belief itself."""

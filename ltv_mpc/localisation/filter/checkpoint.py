@@ -1,6 +1,6 @@
 """Checkpoint: a filter's belief as a message, and back. A restarted process continues from it.
 
-Included      the states with their covariance, and the other data of the water (``column.py``)
+Included      the states with their covariance
 Not included  data that lose their meaning within seconds or only rate the filter: snapshots, sums of innovations, the
               windows of the health monitor. A filter that continues from a checkpoint collects them again.
 """
@@ -19,9 +19,6 @@ from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter
 from ltv_mpc.localisation.filter.state import Belief, Layout
 from ltv_mpc.localisation.sensor_config import SensorConfig
-from ltv_mpc.localisation.water.column import WaterColumn
-from ltv_mpc.localisation.water.current_model import node_prior
-from ltv_mpc.localisation.water.grid_window import conditioning_states
 from ltv_mpc.messages import EstimatorState
 
 
@@ -48,7 +45,6 @@ def checkpoint_of(filter_: ErrorStateFilter, settings: int, restarts: int) -> Es
     restarts : number of reinitialisations so far.
     """
     belief = filter_.propagated_belief()
-    column = belief.column
     return EstimatorState(
         t_ns=belief.t_ns,
         settings_crc=settings,
@@ -57,10 +53,6 @@ def checkpoint_of(filter_: ErrorStateFilter, settings: int, restarts: int) -> Es
         mounting=belief.mounting,
         covariance=belief.P[np.tril_indices(belief.layout.size)],
         epoch_t_ns=belief.epoch_t_ns,
-        first_grid_point=column.first,
-        measured_grid_points=np.flatnonzero(column.observed),
-        dropped_grid_points=tuple(column.dropped.values()),
-        walk_variance_m2ps2=column.walked,
         restarts=restarts,
     )
 
@@ -76,28 +68,12 @@ def belief_of(
     sensor_config, config, prior : settings as in ``settings_of``.
     """
     layout = Layout.of(sensor_config, config)
-    n, cells = layout.size, layout.north.stop - layout.north.start
-    seen, dropped = checkpoint.measured_grid_points, checkpoint.dropped_grid_points
-    links = len(conditioning_states(layout, 0))
-    whole = (
-        checkpoint.settings_crc == settings_of(sensor_config, config, prior)
-        and len(checkpoint.x) == n
-        and checkpoint.first_grid_point + cells <= layout.nodes
-        and (len(seen) == 0 or int(seen.max()) < layout.nodes)
-        and all(d.grid_point < layout.nodes and len(d.conditioning_states) == links for d in dropped)
-    )
-    if not whole:
+    n = layout.size
+    if checkpoint.settings_crc != settings_of(sensor_config, config, prior) or len(checkpoint.x) != n:
         return None
     P = np.zeros((n, n))
     P[np.tril_indices(n)] = checkpoint.covariance
     P += np.tril(P, -1).T
-    column = WaterColumn(
-        prior=node_prior(config, prior),
-        first=checkpoint.first_grid_point,
-        observed=np.isin(np.arange(layout.nodes), seen),
-        dropped={d.grid_point: d for d in dropped},
-        walked=checkpoint.walk_variance_m2ps2,
-    )
     return Belief(
         layout=layout,
         t_ns=checkpoint.t_ns,
@@ -107,5 +83,4 @@ def belief_of(
         P=P,
         signatures=FailureSignatures.of(layout.size, 0),
         epoch_t_ns=checkpoint.epoch_t_ns,
-        column=column,
     )

@@ -22,20 +22,18 @@ import numpy.typing as npt
 from scipy.special import chdtri
 
 from ltv_mpc.frames import earth_rate
-from ltv_mpc.localisation import imu_dropout
+from ltv_mpc.localisation import current_model, imu_dropout
 from ltv_mpc.localisation.adaptive.failure_signatures import FailureSignatures
 from ltv_mpc.localisation.adaptive.glr_detector import COLUMNS
 from ltv_mpc.localisation.adaptive.process_noise import AdaptiveProcessNoise
 from ltv_mpc.localisation.config import EstimatorConfig
-from ltv_mpc.localisation.filter.state import CORE, GYRO_BIAS, Belief, reach_m
+from ltv_mpc.localisation.filter.state import CORE, GYRO_BIAS, Belief
 from ltv_mpc.localisation.filter.strapdown import imu_noise, integrate, propagate, propagated_core
 from ltv_mpc.localisation.filter.update import Correction, correct
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors import BY_MESSAGE
 from ltv_mpc.localisation.sensors.adcp import LinearisedPing
 from ltv_mpc.localisation.sensors.sensor import AnySensor, Availability, Context, Indices, Linearised, Measurement
-from ltv_mpc.localisation.water import current_model
-from ltv_mpc.localisation.water.grid_window import move_window
 from ltv_mpc.messages import AdcpPing, Array, ImuSample, Triple
 
 _DEWEIGHT_LIMIT = 36.0
@@ -101,7 +99,6 @@ class ErrorStateFilter:
         self._sensor_config = sensor_config
         self._config = config
         self._gate = float(chdtri(1, 1.0 - config.gate_probability))  # quantile of chi-square, 1 degree of freedom
-        self._reach_m = reach_m(sensor_config.adcp)
         self._noise = imu_noise(sensor_config.imu)
         senses = sensor_config.imu.senses_earth_rate
         self.earth_rate_radps = earth_rate(sensor_config.latitude_rad) if senses else np.zeros(3)
@@ -123,8 +120,12 @@ class ErrorStateFilter:
 
     @property
     def angular_rate_radps(self) -> Triple:
-        """Angular rate measured last (rad/s, FRD), bias included."""
+        """Angular rate measured last (rad/s, FRD), bias included; a restart sets that of the last estimate."""
         return self._state.angular_rate_radps
+
+    @angular_rate_radps.setter
+    def angular_rate_radps(self, measured: Triple) -> None:
+        self._state.angular_rate_radps = measured
 
     @property
     def angular_rate_variance(self) -> float:
@@ -238,7 +239,6 @@ class ErrorStateFilter:
         """
         self.propagate_covariance()
         belief, sensor = self.belief, BY_MESSAGE[type(message)]
-        move_window(belief, *self._reach_m, self._config.cell_m)
         settings = getattr(self._sensor_config, sensor.name)
         if settings is None or sensor.linearise is None:
             self.account[f"{sensor.name}.not_fitted"] += sensor.scalars_per_message
@@ -253,8 +253,7 @@ class ErrorStateFilter:
         self._state.clones_position |= sensor.clones_position
 
     def _observe_water(self, ping: LinearisedPing, correction: Correction, cells: int) -> None:
-        """Mark the grid points that a ping has measured, and give its innovations to the adaptive process noise."""
-        self.belief.column.mark_observed(ping.grid_points[correction.accepted])
+        """Give the innovations of a ping and its correction to the adaptive process noise."""
         if self._config.adapts_to_water and correction.definite and ping.indices is not None:
             r, S = ping.rows.residual, correction.S
             self.process_noise.add_innovations(self.belief.t_ns, ping.beams, ping.indices % cells, r, S)

@@ -6,8 +6,8 @@ State   position p and velocity over ground v (m, m/s, NED), attitude R (body to
         if the sensor configuration has them: ADCP bias and near-range bias of each beam (m/s), ADCP mounting M,
         compass bias (rad), relative error of the sound speed used for LBL ranges;
         current common to all depths, north and east (m/s);
-        current north and east (m/s) at a window of the depth grid 0, h, 2h, ..., linear between grid points
-        (``water/column.py``, ``water/grid_window.py``).
+        current north and east (m/s) at the depth grid 0, h, 2h, ..., linear between grid points
+        (``current_model.py``).
 Errors  true minus estimated. Attitude errors are rotation vectors on the left:
         R_true = exp(phi^) R with phi in NED, M_true = exp(mu^) M with mu in body axes.
         With phi in NED the acceleration error of a level vehicle changes slowly, whatever its heading does.
@@ -27,12 +27,10 @@ from ltv_mpc.currents import grid_depths
 from ltv_mpc.frames import rotation_exp, skew
 from ltv_mpc.localisation.adaptive.failure_signatures import FailureSignatures
 from ltv_mpc.localisation.config import EstimatorConfig
-from ltv_mpc.localisation.water.column import WaterColumn
 from ltv_mpc.messages import Array, Triple
 
 if TYPE_CHECKING:  # the sensors import this file
     from ltv_mpc.localisation.sensor_config import SensorConfig
-    from ltv_mpc.localisation.sensors.adcp import Adcp
 
 POSITION = slice(0, 3)
 VELOCITY = slice(3, 6)
@@ -41,12 +39,6 @@ GYRO_BIAS = slice(9, 12)
 ACCELEROMETER_BIAS = slice(12, 15)
 CORE = 15
 """Number of core states, which the IMU propagates. They are the first states of every layout."""
-
-_PLANNED_M = 3.0
-"""Largest change of depth within the controller's horizon (m): 10 s at 0.3 m/s."""
-
-_ROLLS_RAD = 0.5
-"""Largest roll and pitch (rad). It decides whether a beam can point upwards or downwards."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,10 +51,9 @@ class Layout:
     mounting: slice
     compass_bias: slice
     sound_speed: slice  # true over assumed sound speed, minus 1
-    mean: slice  # current common to all depths, north and east: m of ``water/column.py``
-    north: slice  # current north at the grid points of the window
+    mean: slice  # current common to all depths, north and east: m of ``current_model.py``
+    north: slice  # current north at the grid points
     east: slice
-    nodes: int  # number of grid points of the whole depth grid
     size: int  # number of states n
 
     @classmethod
@@ -72,16 +63,14 @@ class Layout:
         Parameters
         ----------
         sensor_config : sensors of the vehicle.
-        config : depth grid (``deepest_m``, ``cell_m``) and depth kept in the state above the vehicle (``kept_m``).
+        config : depth grid (``deepest_m``, ``cell_m``).
 
         Returns
         -------
         Layout with ``size`` states.
         """
         adcp, lbl = sensor_config.adcp, sensor_config.lbl
-        nodes = len(grid(config))
-        above_m, below_m = reach_m(adcp)
-        cells = min(nodes, math.ceil((config.kept_m + above_m + below_m) / config.cell_m) + 3)
+        cells = len(grid(config))
         sizes = {
             "epoch": 2,
             "beam_bias": 4 if adcp.beam_bias_sd_mps > 0 else 0,
@@ -95,21 +84,12 @@ class Layout:
         }
         ends = itertools.accumulate(sizes.values(), initial=CORE)
         states = {name: slice(start, stop) for name, (start, stop) in zip(sizes, itertools.pairwise(ends), strict=True)}
-        return cls(**states, nodes=nodes, size=states["east"].stop)
+        return cls(**states, size=states["east"].stop)
 
 
 def grid(config: EstimatorConfig) -> Array:
     """Return the depths of the grid points (m), (G,): 0, h, 2h, ... to the first multiple of h >= ``deepest_m``."""
     return grid_depths(config.deepest_m, config.cell_m)
-
-
-def reach_m(adcp: Adcp) -> tuple[float, float]:
-    """Return how far above and below the vehicle (m) grid points must be states, for its beams and its plan."""
-    tilt = math.acos(max(-1.0, min(1.0, math.cos(adcp.mounting_rad[0]) * math.cos(adcp.mounting_rad[1]))))
-    nearby = _PLANNED_M + math.hypot(*adcp.lever_arm_m)
-    upward = tilt + adcp.beam_angle_rad + _ROLLS_RAD > 0.5 * math.pi
-    downward = tilt - adcp.beam_angle_rad - _ROLLS_RAD < 0.5 * math.pi
-    return nearby + upward * adcp.range_m, nearby + downward * adcp.range_m
 
 
 @dataclass(slots=True, kw_only=True)
@@ -128,7 +108,6 @@ class Belief:
     P: Array
     signatures: FailureSignatures  # mean errors under fault hypotheses that the filter does not model
     epoch_t_ns: int  # time of the cloned position
-    column: WaterColumn  # prior, window and dropped grid points of the water
 
     @classmethod
     def blank(cls, layout: Layout, t_ns: int) -> Belief:
@@ -149,7 +128,6 @@ class Belief:
             P=np.zeros((n, n)),
             signatures=FailureSignatures.of(n, 0),
             epoch_t_ns=t_ns,
-            column=WaterColumn.certain(layout.nodes),
         )
 
     def copy(self) -> Belief:
@@ -161,7 +139,6 @@ class Belief:
             mounting=self.mounting.copy(),
             P=self.P.copy(),
             signatures=self.signatures.copy(),
-            column=self.column.copy(),
         )
 
     def apply_error(self, error: Array) -> None:

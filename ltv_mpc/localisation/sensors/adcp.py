@@ -67,7 +67,7 @@ class Adcp(SensorSettings, frozen=True, kw_only=True):
 class LinearisedPing(Linearised):
     """Rows of a ping, and the grid points of the water that they lie between. The index is beam x cells + cell."""
 
-    grid_points: Indices  # (m,), in the whole grid, the shallower of each row's two
+    grid_points: Indices  # (m,), the shallower of each row's two
 
     @property
     def beams(self) -> Array:
@@ -103,12 +103,12 @@ def linearise(belief: Belief, ping: AdcpPing, adcp: Adcp, context: Context) -> L
     water = x[layout.north.start : layout.east.stop].reshape(2, -1)
 
     depth = (x[2] + transducer[2] + np.outer(beams @ R[2], ping.range_m)) / context.cell_m
-    shallower = np.floor(depth).astype(np.int64)
-    returned, k = ~np.isnan(z), shallower - belief.column.first
+    k = np.floor(depth).astype(np.int64)
+    returned = ~np.isnan(z)
     inside = (k >= 0) & (k <= water.shape[1] - 2)
     i, j = np.nonzero(returned & inside)
     b, r, k = beams[i], ping.range_m[j, None], k[i, j]
-    u, t = b @ R.T, (depth - shallower)[i, j, None]
+    u, t = b @ R.T, depth[i, j, None] - k[:, None]
     upper, lower = water[:, k].T, water[:, k + 1].T
     d = -np.tile(x[VELOCITY], (len(i), 1))  # c - v
     d[:, :2] += upper + t * (lower - upper)
@@ -139,7 +139,7 @@ def linearise(belief: Belief, ping: AdcpPing, adcp: Adcp, context: Context) -> L
         ),
         indices=i * z.shape[1] + j,
         unused={"no_return": int((~returned).sum()), "outside_grid": int((returned & ~inside).sum())},
-        grid_points=shallower[i, j],
+        grid_points=k,
     )
 
 

@@ -42,7 +42,6 @@ from typing import Annotated, Any, Literal, TypeAlias
 import msgspec
 import numpy as np
 from msgspec import Meta, inspect
-from scipy.stats import qmc
 
 from ltv_mpc import config
 from ltv_mpc.errors import ConfigError
@@ -185,6 +184,8 @@ def _laid(campaign: Campaign) -> list[Point]:
     if design.kind == "random":
         drawn = rng.random((design.points, len(vary)))
     else:
+        from scipy.stats import qmc  # takes most of a second
+
         with warnings.catch_warnings():  # another number than a power of two fills less evenly: the file's choice
             warnings.simplefilter("ignore", UserWarning)
             drawn = qmc.Sobol(len(vary), scramble=True, rng=rng).random(design.points)

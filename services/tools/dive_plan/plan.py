@@ -23,7 +23,6 @@ import numpy as np
 from msgspec.structs import replace
 
 from ltv_mpc import references
-from ltv_mpc.errors import ConfigError
 from ltv_mpc.frames import rotation
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter.state import grid
@@ -138,7 +137,6 @@ class Dive(NamedTuple):
         run_config = resolve("descent", [Override("dive plan", settings)])
         if self.reference is not None:
             return run_config
-        deep_enough(run_config.scenario.estimator, self.depth_m, run_config.sensor_config.adcp.range_m)
         descent = Hold(start_s=0.0, depth_m=self.depth_m, descent_rate_mps=self.depth_m / length_s)
         return dataclasses.replace(run_config, reference=descent)
 
@@ -153,7 +151,7 @@ class Flight(NamedTuple):
 def fly(dive: Dive) -> Flight:
     """Simulate the dive with its filter in the loop, and compute the drift along its track.
 
-    Raises ``ConfigError`` for bad input, and if the depth grid of the filter would be too deep.
+    Raises ``ConfigError``.
     """
     run_config = dive.run_config()
     scenario, truths, complete = run_config.scenario, list[Truth](), list[Plan]()
@@ -181,12 +179,9 @@ def fly(dive: Dive) -> Flight:
 
 
 def deep_enough(config: EstimatorConfig, depth_m: float, range_m: float) -> EstimatorConfig:
-    """Return the settings of the filter with a depth grid that reaches as deep as the beams. Raises ``ConfigError``."""
-    largest_m = MAX_ESTIMATOR_CELLS * config.cell_m - range_m
-    if depth_m > largest_m:
-        problem = f"must be <= {largest_m:g} m, so that the depth grid of the filter holds the beams"
-        raise ConfigError("dive plan", "largest depth (m)", problem, value=depth_m)
-    return replace(config, deepest_m=max(config.deepest_m, float(math.ceil(depth_m + range_m))))
+    """Return the settings of the filter with a depth grid as deep as the beams; a very deep one has larger cells."""
+    deepest_m = max(config.deepest_m, float(math.ceil(depth_m + range_m)))
+    return replace(config, deepest_m=deepest_m, cell_m=max(config.cell_m, deepest_m / MAX_ESTIMATOR_CELLS))
 
 
 def _fix_s(sensors: SensorConfig) -> float:

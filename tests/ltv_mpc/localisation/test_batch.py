@@ -123,7 +123,7 @@ def test_all_measurements_of_a_trajectory_are_weighted_as_least_squares_does(see
     belief.P[ACCELEROMETER_BIAS, ACCELEROMETER_BIAS] = np.diag(SD[6:]) ** 2
     belief.clone_position(SUITE.gnss.lever_arm_m)
     filter_ = ErrorStateFilter(SUITE, OPEN, belief)
-    buffer = MeasurementBuffer(filter_, 250_000_000)
+    buffer = MeasurementBuffer(filter_)
     inserted = 0
     for k in range(1, STEPS + 1 + 50):  # the last of them without news: all that is late has come
         if k <= STEPS:

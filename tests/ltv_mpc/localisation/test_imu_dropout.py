@@ -1,15 +1,18 @@
 """Lost or late inertial samples: the covariance covers the gap, and measurements after it are used."""
 
+import math
+
 import numpy as np
 import pytest
 from msgspec.structs import replace
 
 from ltv_mpc.frames import rotation
 from ltv_mpc.localisation import imu_dropout
+from ltv_mpc.localisation.imu_dropout import LEVEL_WALK, TURN_WALK, VELOCITY_WALK
 from ltv_mpc.messages import FilterStatus, ImuSample
 from tests.ltv_mpc.localisation.dives import CONFIG, REALISTIC, Run, S, dive, normalised
 
-SHALLOW = replace(CONFIG, deepest_m=60.0, kept_m=0.0)
+SHALLOW = replace(CONFIG, deepest_m=60.0)
 CHI_SQUARE_5 = 28.5  # 3e-5
 
 
@@ -47,7 +50,6 @@ def test_after_seconds_without_any_sensor_the_filter_is_levelled_and_continues(s
 
 
 def test_coasting_over_a_gap_is_the_same_in_one_part_and_in_two():
-    """That of one part has a closed form in test_warm_restart.py."""
     ends = []
     for cuts in ((2.0,), (0.7, 1.3)):
         x, R = np.arange(20.0), rotation(0.1, 0.2, 0.3)
@@ -64,3 +66,21 @@ def test_a_sample_that_comes_a_little_early_leaves_no_gap():
     sample = ImuSample(t_ns=S, interval_ns=10_000_000, angular_rate_radps=nothing, specific_force_mps2=nothing)
     gaps = [imu_dropout.gap_before_ns(sample, S - before_ns) for before_ns in (10**7, 14 * 10**6, 5 * 10**6, 2 * 10**7)]
     assert gaps == [0, 0, 0, 10_000_000]
+
+
+def test_coasting_over_a_gap_has_the_closed_form_of_random_walks():
+    imu, T = REALISTIC.imu, 2.0
+    x, R, Phi, Q = np.arange(20.0), np.eye(3), np.eye(15), np.zeros((15, 15))
+    imu_dropout.coast(x, R, Phi, Q, T, T, 0.15, imu)
+    np.testing.assert_allclose(x[:3], [0.0 + 3.0 * T, 1.0 + 4.0 * T, 2.0 + 5.0 * T])
+    np.testing.assert_allclose(R, rotation(0.0, 0.0, 0.15 * T), atol=1e-12)
+    np.testing.assert_allclose(Phi[:6, :6], np.kron([[1.0, T], [0.0, 1.0]], np.eye(3)))
+    q = VELOCITY_WALK * np.array([[T**3 / 3, T**2 / 2], [T**2 / 2, T]])
+    np.testing.assert_allclose(Q[:6, :6], np.kron(q, np.eye(3)), atol=1e-18)
+    assert (Q[7, 7], Q[8, 8]) == pytest.approx((LEVEL_WALK * T, TURN_WALK * T**3 / 12))
+    for i, sd, tau_s in (
+        (9, imu.gyro_bias_sd_radps, imu.gyro_bias_tau_s),
+        (12, imu.accelerometer_bias_sd_mps2, imu.accelerometer_bias_tau_s),
+    ):
+        keep = math.exp(-T / tau_s)
+        assert (x[i], Phi[i, i], Q[i, i]) == pytest.approx((keep * i, keep, sd**2 * (1.0 - keep**2)))

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter
 from ltv_mpc.localisation.out_of_sequence import REACH_NS
 from ltv_mpc.localisation.sensors import BY_MESSAGE
 from ltv_mpc.messages import (
@@ -178,11 +177,3 @@ def test_a_restored_filter_is_what_it_was_in_every_attribute(messages):
         assert state() != before
         filter_.restore(then)
         assert state() == before
-
-
-@pytest.mark.parametrize(("sensors", "a_second"), [(REALISTIC, 1), (SENSORS, 4)], ids=["no latency", "latency"])
-def test_snapshots_are_rarer_if_no_sensor_has_a_latency(messages, monkeypatch, sensors, a_second):
-    taken, snapshot = [], ErrorStateFilter.snapshot
-    monkeypatch.setattr(ErrorStateFilter, "snapshot", lambda self: taken.append(self.belief.t_ns) or snapshot(self))
-    Run(messages, sensors, CONFIG)
-    assert 0.9 * a_second < len(taken) / 6 <= a_second

@@ -19,7 +19,7 @@ from tests.ltv_mpc.localisation.dives import CONFIG as SHIPPED
 from tests.ltv_mpc.localisation.dives import REALISTIC, S, error_of, normalised
 from tests.ltv_mpc.localisation.test_shadow_filter import BEGIN_NS, healthy, returns, run_with, the_dive
 
-CONFIG = replace(SHIPPED, deepest_m=30.0, kept_m=5.0)
+CONFIG = replace(SHIPPED, deepest_m=30.0)
 BAD, GOOD = FilterStatus.INCONSISTENT, FilterStatus.NOMINAL
 NOW_S = 41
 """Bad from 31 s on: reinitialised after ten seconds; the window then was good at 21 s."""

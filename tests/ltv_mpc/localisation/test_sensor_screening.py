@@ -90,7 +90,7 @@ def test_delayed_messages_are_used_unless_newer_ones_have_arrived():
 
 def dived(change):
     """Return the estimator after the dive with changed messages, which arrive when they were made."""
-    estimator = Estimator(PAPER, replace(CONFIG, deepest_m=60.0, kept_m=0.0))
+    estimator = Estimator(PAPER, replace(CONFIG, deepest_m=60.0))
     for message in DIVE.messages:
         estimator.step(message.t_ns, [ReceivedMessage(as_sent(change(message)), 1, 0, message.t_ns)])
     P, x, k = estimator.filter.core_covariance(), estimator.filter.belief.x, DIVE.at(12 * S)

@@ -37,16 +37,6 @@ CONTROLLER_STATE = messages.ControllerState(
     disturbance=messages.DisturbanceState(mean=np.linspace(-0.2, 0.2, 12), covariance=1e-4 * np.eye(12)),
     model_products=np.outer([0.5, 1.0, -1.0, 0.1, 0.0, 0.2], [0.5, 1.0, -1.0, 0.1, 0.0, 0.2]),
 )
-DROPPED = messages.DroppedGridPoint(
-    grid_point=3,
-    velocity_mps=(0.1, -0.2),
-    conditioning_states=np.array([0.1, 0.2, 0.3]),
-    regression=np.arange(6.0).reshape(2, 3),
-    covariance=np.eye(2),
-    position_cross_covariance=np.zeros((2, 2)),
-    position_covariance=np.eye(2),
-    walk_variance_m2ps2=1e-6,
-)
 ESTIMATOR_STATE = messages.EstimatorState(
     t_ns=10**9,
     settings_crc=2**32 - 1,
@@ -55,10 +45,6 @@ ESTIMATOR_STATE = messages.EstimatorState(
     mounting=np.eye(3),
     covariance=np.array([1.0, 0.1, 2.0, 0.0, 0.2, 3.0]),
     epoch_t_ns=0,
-    first_grid_point=2,
-    measured_grid_points=np.array([2, 3, 4]),
-    dropped_grid_points=(DROPPED,),
-    walk_variance_m2ps2=2e-6,
     restarts=1,
 )
 SHIP = messages.Obstacle(

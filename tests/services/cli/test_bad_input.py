@@ -148,7 +148,7 @@ CASES = [
     ("dive plan --sensors perfect --out fresh", "perfect"),
     ("dive plan --reference nowhere --out fresh", "nowhere"),
     ("dive plan --duration-s 5 --out fresh", "--duration-s"),
-    ("dive plan --depth-m 480 --out fresh", "largest depth"),
+    ("dive plan --depth-m 1001 --out fresh", "--depth-m"),
     ("profile --solvers osqp,ospq", 'option --solvers: "ospq"'),
     ("profile --horizons 401", 'option --horizons: "401"'),
     ("profile --run nowhere", "RUN nowhere: no such folder or file"),

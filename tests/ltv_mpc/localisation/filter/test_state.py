@@ -6,7 +6,7 @@ import pytest
 
 from ltv_mpc.frames import rotation, rotation_log
 from ltv_mpc.localisation.config import EstimatorConfig
-from ltv_mpc.localisation.filter.state import ATTITUDE, CORE, Belief, Layout, grid, reach_m
+from ltv_mpc.localisation.filter.state import ATTITUDE, CORE, Belief, Layout, grid
 from ltv_mpc.localisation.sensor_config import SensorConfig
 
 PAPER, REALISTIC = SensorConfig.load("paper"), SensorConfig.load("realistic")
@@ -16,7 +16,7 @@ CONFIG = EstimatorConfig()
 @pytest.mark.parametrize(("sensors", "biases"), [(PAPER, 0), (REALISTIC, 4 + 4 + 3 + 1)], ids=["paper", "realistic"])
 def test_states_do_not_overlap_and_a_bias_that_the_sensors_lack_is_none(sensors, biases):
     layout = Layout.of(sensors, CONFIG)
-    named = [getattr(layout, f) for f in layout.__slots__ if f not in ("nodes", "size")]
+    named = [getattr(layout, f) for f in layout.__slots__ if f != "size"]
     assert sorted(i for s in named for i in range(s.start, s.stop)) == list(range(CORE, layout.size))
     assert layout.size == CORE + 2 + biases + 2 + 2 * 71
 
@@ -69,35 +69,3 @@ def test_a_copy_is_the_same_and_shares_nothing_that_changes():
     for name in ("x", "R", "mounting", "P"):
         assert not np.shares_memory(getattr(belief, name), getattr(other, name))
         np.testing.assert_array_equal(getattr(belief, name), getattr(other, name))
-    other.column.observed[3], other.column.first = True, 2
-    other.column.dropped[0] = other.column.prior.link(0, 1, 0.0)
-    assert not belief.column.observed.any()
-    assert (belief.column.first, belief.column.dropped) == (0, {})
-
-
-@pytest.mark.parametrize(
-    ("roll_pitch_deg", "above", "below"),
-    [
-        ((20, -20), 0.0, 15.0),
-        ((39, 0), 0.0, 15.0),  # a beam at 20 deg and 28.6 deg of roll reach the horizontal from 41.4 deg on
-        ((43, 0), 15.0, 15.0),
-        ((0, 90), 15.0, 15.0),
-        ((137, 0), 15.0, 15.0),
-        ((141, 0), 15.0, 0.0),
-        ((0, -170), 15.0, 0.0),
-    ],
-)
-def test_nodes_are_wanted_where_a_beam_of_a_rolling_vehicle_can_reach(roll_pitch_deg, above, below):
-    """In addition to 3 m of a plan and 0.5 m of the lever arm. At 90 deg pitch, downward beams look ahead."""
-    mounting = (*np.radians(roll_pitch_deg), 0.4)
-    adcp = msgspec.structs.replace(REALISTIC.adcp, lever_arm_m=(0.3, 0.0, -0.4), mounting_rad=mounting, range_m=15.0)
-    np.testing.assert_allclose(reach_m(adcp), (3.5 + above, 3.5 + below))
-
-
-def test_a_window_holds_what_is_kept_and_what_can_be_reached_on_either_side():
-    """At any position between two grid points: one more at each end, and one because n intervals have n + 1 points."""
-    config = msgspec.structs.replace(CONFIG, deepest_m=900.0, kept_m=21.0, cell_m=2.0)
-    layout = Layout.of(REALISTIC, config)
-    cells = layout.north.stop - layout.north.start
-    assert 2.0 * (cells - 3) < 21.0 + sum(reach_m(REALISTIC.adcp)) + 2 * 2.0 <= 2.0 * (cells - 1)
-    assert (layout.east.stop - layout.east.start, layout.nodes) == (cells, 451)

@@ -184,21 +184,3 @@ def test_a_beam_that_has_not_found_the_bottom_is_counted(belief):
     np.testing.assert_array_equal(seen.indices, [0, 2])
     none = np.full(4, np.nan)
     assert len(linearised(belief, BottomTrack(t_ns=0, range_m=none, beam_velocity_mps=none)).rows.residual) == 0
-
-
-def test_a_deeper_window_measures_the_same_water_by_states_of_lower_index(belief):
-    """Residuals and derivatives are those of the window at the surface, and so are the grid points."""
-    ping, moved, by = (
-        AdcpPing(t_ns=0, range_m=1.4 + np.arange(6.0), beam_velocity_mps=np.zeros((4, 6))),
-        belief.copy(),
-        4,
-    )
-    for water in (LAYOUT.north, LAYOUT.east):
-        moved.x[water][:-by] = belief.x[water][by:]
-    moved.column.first += by
-    first, second = (linearised(b, ping) for b in (belief, moved))
-    np.testing.assert_array_equal(second.grid_points, first.grid_points)
-    np.testing.assert_allclose(second.rows.residual, first.rows.residual, atol=1e-12)
-    np.testing.assert_allclose(second.rows.partial, first.rows.partial, atol=1e-12)
-    is_water = first.rows.state >= LAYOUT.north.start
-    np.testing.assert_array_equal(second.rows.state, np.where(is_water, first.rows.state - by, first.rows.state))

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from ltv_mpc.currents import WaterPrior
+from ltv_mpc.localisation import current_model
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter.state import Belief, Layout, grid
 from ltv_mpc.localisation.sensor_config import SensorConfig
-from ltv_mpc.localisation.water import current_model
 
 CONFIG = EstimatorConfig()
 LAYOUT = Layout.of(SensorConfig.load("paper"), CONFIG)
@@ -40,7 +40,6 @@ def test_the_random_walk_is_independent_at_each_grid_point():
     np.testing.assert_allclose(np.diag(grown)[LAYOUT.north], 9e-6, rtol=1e-9)
     np.testing.assert_allclose(np.diag(grown)[LAYOUT.east], 9e-6, rtol=1e-9)
     assert np.count_nonzero(grown) == 2 * len(grid(config))
-    assert belief.column.walked == pytest.approx(9e-6)
 
 
 def test_a_published_profile_is_the_belief_with_the_larger_deviation_of_its_axes():
@@ -80,7 +79,7 @@ def test_at_saved_depths_the_prior_is_the_profile_plus_its_possible_change():
 
 def test_saved_depths_share_their_common_error_and_that_of_neighbours():
     config = msgspec.structs.replace(CONFIG, water_prior_change_sd_mps=0.0)
-    covariance = current_model.node_prior(config, SAVED).covariance(slice(None))
+    covariance = current_model.node_prior(config, SAVED).covariance()
     own = np.sqrt(SAVED.sd_mps**2 - 0.01**2)
     distance = math.exp(-1 / CONFIG.current_correlation_length_m)
     assert covariance[5, 6] == pytest.approx(0.01**2 + own[0] * own[1] * distance)
@@ -103,7 +102,7 @@ def test_between_saved_depths_the_prior_is_a_gauss_markov_bridge():
 def test_far_beyond_a_saved_profile_the_prior_is_as_open_as_one_without():
     deep = msgspec.structs.replace(CONFIG, deepest_m=200.0)
     saved, without = current_model.node_prior(deep, SAVED), current_model.node_prior(deep)
-    assert saved.covariance(slice(None))[200, 200] == pytest.approx(without.covariance(slice(None))[200, 200])
+    assert saved.covariance()[200, 200] == pytest.approx(without.covariance()[200, 200])
     depth = SAVED.depth_m
     mean = np.trapezoid(SAVED.north_mps, depth) / 10.0
     assert saved.mean_mps[200, 0] == pytest.approx(mean)
@@ -117,18 +116,3 @@ def test_a_profile_of_one_depth_is_a_prior_too():
     np.testing.assert_allclose(prior.mean_mps, np.tile([0.3, 0.1], (71, 1)))
     assert prior.sd_mps[20] == pytest.approx(CONFIG.water_prior_change_sd_mps)
     assert np.all(np.isfinite(prior.sd_mps))
-
-
-def test_a_dive_that_begins_deep_begins_with_a_window_about_it():
-    config = msgspec.structs.replace(CONFIG, deepest_m=500.0)
-    layout = Layout.of(SensorConfig.load("paper"), config)
-    belief = Belief.blank(layout, 0)
-    belief.x[2] = 300.0
-    current_model.write_prior(belief, config)
-    published = current_model.profile(belief, grid(config))
-    assert published.depth_m[0] == 300.0 - config.kept_m
-    assert published.depth_m[-1] > 330.0
-    assert len(published.depth_m) == layout.north.stop - layout.north.start == len(published.north_mps)
-    belief.x[2] = 499.0
-    current_model.write_prior(belief, config)
-    assert current_model.profile(belief, grid(config)).depth_m[-1] == 500.0

@@ -19,13 +19,29 @@ Source  Medagoda & Williams 2012, section IV-A (first-order Gauss-Markov in dept
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from ltv_mpc.currents import WaterPrior
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter.state import Belief, grid
-from ltv_mpc.localisation.water.column import NodePrior
 from ltv_mpc.messages import Array, CurrentProfile
+
+
+class NodePrior(NamedTuple):
+    """Prior distribution of the current at all G grid points."""
+
+    mean_mps: Array  # (G, 2)
+    sd_mps: Array  # standard deviation of s, (G,)
+    common_sd_mps: float  # standard deviation of m
+    correlation: float  # of s, between neighbours
+
+    def covariance(self) -> Array:
+        """Return the covariance of c along one axis, (G, G) m2/s2. It includes m."""
+        k = np.arange(len(self.sd_mps))
+        covariance: Array = np.outer(self.sd_mps, self.sd_mps) * self.correlation ** np.abs(k[:, None] - k[None, :])
+        return covariance + self.common_sd_mps**2
 
 
 def node_prior(config: EstimatorConfig, saved: WaterPrior | None = None) -> NodePrior:
@@ -67,24 +83,19 @@ def node_prior(config: EstimatorConfig, saved: WaterPrior | None = None) -> Node
 
 
 def write_prior(belief: Belief, config: EstimatorConfig, saved: WaterPrior | None = None) -> None:
-    """Write the prior of the current into a belief, with the window around the vehicle's depth.
+    """Write the prior of the current into a belief.
 
     Parameters
     ----------
-    belief : state estimate without knowledge of the water; its water states and its column change.
+    belief : state estimate without knowledge of the water; its water states change.
     config : settings of the estimator.
     saved : profile of an earlier dive, or None.
     """
-    layout, column = belief.layout, belief.column
-    prior = node_prior(config, saved)
-    cells = layout.north.stop - layout.north.start
-    first = int((belief.x[2] - config.kept_m) // config.cell_m)
-    column.prior, column.first = prior, min(max(first, 0), layout.nodes - cells)
-    states = slice(column.first, column.first + cells)
-    covariance = prior.covariance(states)
+    layout, prior = belief.layout, node_prior(config, saved)
+    covariance = prior.covariance()
     for axis, nodes in enumerate((layout.north, layout.east)):
         m = layout.mean.start + axis
-        belief.x[m], belief.x[nodes] = 0.0, prior.mean_mps[states, axis]
+        belief.x[m], belief.x[nodes] = 0.0, prior.mean_mps[:, axis]
         belief.P[nodes, nodes] = covariance
         belief.P[m, m] = belief.P[m, nodes] = belief.P[nodes, m] = prior.common_sd_mps**2
 
@@ -94,7 +105,7 @@ def add_random_walk(belief: Belief, config: EstimatorConfig, dt: float) -> None:
 
     Parameters
     ----------
-    belief : state estimate; its covariance and its column change.
+    belief : state estimate; its covariance changes.
     config : q is ``current_change_mps_per_rts``.
     dt : time (s).
     """
@@ -102,11 +113,10 @@ def add_random_walk(belief: Belief, config: EstimatorConfig, dt: float) -> None:
     if variance > 0:
         nodes = np.arange(belief.layout.north.start, belief.layout.east.stop)
         belief.P[nodes, nodes] += variance
-        belief.column.walked += variance
 
 
 def profile(belief: Belief, depth_m: Array) -> CurrentProfile:
-    """Return the current profile to publish: the grid points in the state, which contain all that a plan can reach.
+    """Return the current profile to publish.
 
     The standard deviation at a grid point is the larger of north and east.
 
@@ -117,9 +127,8 @@ def profile(belief: Belief, depth_m: Array) -> CurrentProfile:
     """
     variance = np.diagonal(belief.P)
     north, east = belief.layout.north, belief.layout.east
-    first = belief.column.first
     return CurrentProfile(
-        depth_m=depth_m[first : first + north.stop - north.start],
+        depth_m=depth_m,
         north_mps=belief.x[north].copy(),
         east_mps=belief.x[east].copy(),
         sd_mps=np.sqrt(np.maximum(variance[north], variance[east])),
