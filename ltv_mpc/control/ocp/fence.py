@@ -23,9 +23,6 @@ the target are bounded (``scaling.bounded``). That of the corridor is smaller, s
 rather than its fence. An obstacle is a disc at its predicted position at knot k. A stage longer than the first one
 counts with its point of the least clearance, among points that are one first stage apart; the chord's sag is added to c
 between the knots.
-
-A clearance changes by no more than the point moves. So after a point with a surplus over the required clearance, the
-next points are not looked at until the track is longer by that surplus.
 """
 
 from __future__ import annotations
@@ -157,7 +154,7 @@ def surplus_m(scene: Scene, z: int, n: float, e: float, t_s: float) -> float:
 
 
 @jit
-def stage_lack(scene: Scene, z: int, X: Array, k: int, t: Array, spare_m: float) -> tuple[float, float, float, float]:
+def stage_lack(scene: Scene, z: int, X: Array, k: int, t: Array) -> tuple[float, float, float]:
     """Return the largest lack of clearance from one zone or obstacle in the stage that ends at knot k.
 
     Parameters
@@ -166,29 +163,24 @@ def stage_lack(scene: Scene, z: int, X: Array, k: int, t: Array, spare_m: float)
     X : (N+1, 8) states at the knots.
     k : knot.
     t : (N+1,) knots in first stages.
-    spare_m : length of the track from knot k - 1 on which the clearance is surely kept (m).
 
     Returns
     -------
-    Lack at the knot (m), largest lack between the knots (m), where that is as a share of the stage, and the length of
-    ``spare_m`` from knot k on (m). A lack is 0 where there is none.
+    Lack at the knot (m), largest lack between the knots (m), and where that is as a share of the stage. A lack is 0
+    where there is none.
     """
     g = t[k] - t[k - 1]
     steps = max(int(np.ceil(g - 1e-6)), 1)  # points that are looked at
     dn, de = (X[k, 0] - X[k - 1, 0]) / steps, (X[k, 1] - X[k - 1, 1]) / steps
-    moved_m, knot, between, part = np.hypot(dn, de), 0.0, 0.0, 1.0
+    knot, between, part = 0.0, 0.0, 1.0
     for j in range(1, steps + 1):
-        spare_m -= moved_m
-        if spare_m > 0.0:
-            continue
         t_s = (t[k - 1] + j / steps * g) * scene.stage_s
         surplus = surplus_m(scene, z, X[k - 1, 0] + j * dn, X[k - 1, 1] + j * de, t_s)
-        spare_m = surplus if z < len(scene.need) else 0.0  # obstacles move, too
         if j == steps:
             knot = max(-surplus, 0.0)
         elif -surplus > between:
             between, part = -surplus, j / steps
-    return knot, between, part, spare_m
+    return knot, between, part
 
 
 @jit_outlined
@@ -211,10 +203,9 @@ def fence_cost(X: Array, scene: Scene, t: Array, scale_m: float) -> float:
     for z in range(Z + len(scene.discs)):
         if z < Z and scene.exits[z, 0] == 0.0 and from_box(scene.zones, z, box) > scene.need[z]:
             continue  # every point keeps its distance
-        spare_m = 0.0
         for k in range(1, X.shape[0]):
             g = t[k] - t[k - 1]
-            worst, between, _, spare_m = stage_lack(scene, z, X, k, t, spare_m)
+            worst, between, _ = stage_lack(scene, z, X, k, t)
             if between > 0.0:
                 worst = max(worst, sag_m(X, k, g * scene.stage_s) + between)
             total += factor * PENALTY * g * worst
@@ -296,9 +287,8 @@ def _worst_points(X: Array, scene: Scene, t: Array) -> Array:
     N, Z = X.shape[0] - 1, len(scene.need)
     at, worst = np.ones(N), np.zeros(N)
     for z in range(Z + len(scene.discs)):
-        spare_m = 0.0
         for k in range(1, N + 1):
-            knot, between, part, spare_m = stage_lack(scene, z, X, k, t, spare_m)
+            knot, between, part = stage_lack(scene, z, X, k, t)
             if between > worst[k - 1]:
                 at[k - 1], worst[k - 1] = part, between
             if knot > worst[k - 1]:

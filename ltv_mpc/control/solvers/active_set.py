@@ -73,8 +73,8 @@ def active_set(p: Problem, work: Sweep, active: Array, max_sweeps: int, y: Array
     max_sweeps : limit of sweeps.
     """
     for sweeps in range(1, max_sweeps + 1):
-        last = _hold(p, work, active, y)
-        if not sweep(p, work, len(p.f) if sweeps == 1 else last):
+        _hold(p, work, active, y)
+        if not sweep(p, work):
             return FAILED, sweeps
         wrong = _update_active(p, work.g, y, active)
         if wrong == 0 and not _update_duals(work, y):
@@ -85,9 +85,8 @@ def active_set(p: Problem, work: Sweep, active: Array, max_sweeps: int, y: Array
 
 
 @jit
-def _hold(p: Problem, work: Sweep, active: Array, y: Array) -> int:
-    """Set weight and linear of all rows, and return the last stage in which one changes."""
-    last = 0
+def _hold(p: Problem, work: Sweep, active: Array, y: Array) -> None:
+    """Set weight and linear of all rows."""
     for k in range(active.shape[0]):
         for i in range(active.shape[1]):
             sign, weight, linear = active[k, i], 0.0, 0.0
@@ -96,9 +95,7 @@ def _hold(p: Problem, work: Sweep, active: Array, y: Array) -> int:
                 linear = y[k, i] - RHO * (p.high[k, i] if sign > 0.0 else p.low[k, i])
             elif sign != 0.0:
                 linear = np.sign(sign) * p.penalty[k, i]
-            if weight != work.weight[k, i] or linear != work.linear[k, i]:
-                work.weight[k, i], work.linear[k, i], last = weight, linear, k
-    return last
+            work.weight[k, i], work.linear[k, i] = weight, linear
 
 
 @jit

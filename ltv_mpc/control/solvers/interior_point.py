@@ -85,7 +85,7 @@ def interior_point(p: Problem, work: Sweep, active: Array, max_sweeps: int, y: A
         aim = max(max(MIN_SIGMA, (1.0 - step) ** 2) * mu, 0.1 * MU_CONVERGED)
         _set_barrier_terms(barrier, aim, regularisation, work)
         sweeps += 1
-        if not sweep(p, work, len(p.f)):
+        if not sweep(p, work):
             return FAILED, sweeps
         primal, dual = _find_step(barrier, aim, regularisation, work)
         same, mu = _advance(barrier, primal, dual, active)

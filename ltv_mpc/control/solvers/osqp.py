@@ -3,9 +3,8 @@
 OSQP's method (Stellato et al. 2020) is the alternating direction method of multipliers with one step size rho. No
 single step size suits all kinds of row: the dynamics need 1e4 to 1e7 times that of the limits, and an active limit
 100 times that of an inactive one. A row multiplied by s acts as if its step size were rho s^2, so the rows are scaled
-and rho stays 1. The duals of the previous solve show beforehand which limits are active. They are checked again after
-each batch of iterations: if the active set has changed, the rows are scaled again. A changes in every cycle anyway, so
-this needs no additional factorisation.
+and rho stays 1. The duals of the first guess show beforehand which limits are active. A changes in every cycle anyway,
+so this needs no additional factorisation.
 
 First guess: inputs and duals of all limits from the Riccati method (riccati.py), which nearly always are those of the
 solution. A forward sweep gives the states that they lead to; a backward sweep gives the duals of the dynamics
@@ -69,7 +68,7 @@ SETTINGS = {
     "eps_prim_inf": 1e-12,  # box and slew always have a common point, so a certificate of infeasibility is of no use
     "eps_dual_inf": 1e-12,
     "check_dualgap": 0,
-    "check_termination": 3,
+    "check_termination": 1,  # the first guess usually is the solution
     "polishing": 0,
     "time_limit": 1e10,
 }
@@ -120,15 +119,6 @@ NOT_EXCEEDED = 1e-3
 NOT_FINITE = -1.0
 """Size of a problem that has a number that is not finite."""
 
-FIRST_BATCH = 1
-"""Iterations of the first batch: the first guess usually is the solution."""
-
-BATCH = 9
-"""Iterations between two checks of the active limits."""
-
-CONSTANT_BATCHES = 6
-"""Number of batches after which each is twice as long as the one before: with constant scales OSQP always converges."""
-
 
 class Arrays(NamedTuple):
     """Numbers of one solve: the problem, the point, and both with scaled rows."""
@@ -166,7 +156,7 @@ class OsqpSolver:
         confirms : False: a solution of the sweeps that meets the conditions of the optimum is also that of the last QP
             of a cycle. OSQP solves the first one in any case, so that it is set up before it is needed.
         """
-        self._knots, self._max_iterations, self._tolerance = config.knots, config.max_iterations, config.tolerance
+        self._knots, self._tolerance = config.knots, config.tolerance
         self._confirms = confirms
         self.layout: SparseLayout | None = None
         """Layout of the QP; ``arrays`` has the QP's numbers and its point, ``duals`` those of the limits (N+1, M)."""
@@ -176,6 +166,7 @@ class OsqpSolver:
         ext_builtin.osqp_set_default_settings(self._settings)
         for name, value in SETTINGS.items():
             setattr(self._settings, name, value)
+        self._settings.max_iter = config.max_iterations
 
     def set_up(self, problem: Problem) -> None:
         """Lay out the QP of a problem, and of those before it (see ``Solver``).
@@ -215,7 +206,7 @@ class OsqpSolver:
         return self._iterate(problem)
 
     def _iterate(self, p: Problem) -> Result:
-        """Solve with OSQP from the result of the sweeps, for ``max_iterations`` or a few more: never by time."""
+        """Solve with OSQP from the result of the sweeps, for at most ``max_iterations``: never by time."""
         layout, at, settings = self.layout, self.arrays, self._settings
         assert layout is not None
         size, costate = prepare(p, layout.places, self.work, self.duals, at)
@@ -223,33 +214,22 @@ class OsqpSolver:
             return self._no_solution("the problem is not finite")
         settings.eps_abs = max(self._tolerance * size, ROUNDING * costate if layout.soft_rows else 0.0)
         if self._solver is None:
-            rescale(layout.places, at, size)  # changes nothing, but is compiled now and not with the first hard problem
             P, A = (_csc(of, data) for of, data in ((layout.P, at.numbers.P), (layout.A, at.A)))
             self._solver = ext_builtin.OSQPSolver(
                 P, at.numbers.q, A, at.l, at.u, layout.rows, layout.variables, settings
             )
         solver = self._solver
-        _load(solver, at, at.numbers.P)
-        iterations, batch = 0, 0
-        while True:
-            length = BATCH * 2 ** max(0, batch - CONSTANT_BATCHES) if batch else FIRST_BATCH
-            settings.max_iter = min(length, self._max_iterations)
-            solver.update_settings(settings)
-            solver.solve()
-            info, solution = solver.info, solver.solution
-            status = int(info.status_val)
-            if status == INTERRUPTED:
-                signal.raise_signal(signal.SIGINT)  # OSQP catches Ctrl-C during a solve
-            batch += 1
-            iterations += int(info.iter)
-            at.x[:], at.y[:] = solution.x, solution.y * at.scale
-            if not math.isfinite(np.vdot(at.x, at.x) + np.vdot(at.y, at.y)):
-                self._solver = None
-                return self._no_solution("OSQP returned a value that is not finite; rebuilt")
-            if status == SOLVED or iterations >= self._max_iterations:
-                break
-            if rescale(layout.places, at, size) > 0:
-                _load(solver, at, None)
+        _load(solver, at)
+        solver.update_settings(settings)
+        solver.solve()
+        info, solution = solver.info, solver.solution
+        status, iterations = int(info.status_val), int(info.iter)
+        if status == INTERRUPTED:
+            signal.raise_signal(signal.SIGINT)  # OSQP catches Ctrl-C during a solve
+        at.x[:], at.y[:] = solution.x, solution.y * at.scale
+        if not math.isfinite(np.vdot(at.x, at.x) + np.vdot(at.y, at.y)):
+            self._solver = None
+            return self._no_solution("OSQP returned a value that is not finite; rebuilt")
         self.duals[:] = 0.0
         np.add.at(self.duals.reshape(-1), layout.places.source[layout.of_limit], at.y[layout.of_limit])
         report = STATUS.get(status, SolveStatus.FAILED)
@@ -266,9 +246,9 @@ class OsqpSolver:
         return Result(np.zeros_like(self.work.z), Solve(status=SolveStatus.NON_FINITE, why=why))
 
 
-def _load(solver: ext_builtin.OSQPSolver, at: Arrays, P: Array | None) -> None:
-    """Pass numbers and point to OSQP, which copies them and factorises; None: the cost is the same as before."""
-    errors = solver.update_data_mat(P, None, at.A, None), solver.update_data_vec(at.numbers.q, at.l, at.u)
+def _load(solver: ext_builtin.OSQPSolver, at: Arrays) -> None:
+    """Pass numbers and point to OSQP, which copies them and factorises."""
+    errors = solver.update_data_mat(at.numbers.P, None, at.A, None), solver.update_data_vec(at.numbers.q, at.l, at.u)
     if any(errors):
         raise ArithmeticError(f"OSQP rejects the problem, errors {errors} of matrices and vectors")
     solver.warm_start(at.x, at.scaled_y)
@@ -319,7 +299,7 @@ def prepare(p: Problem, places: Places, work: Sweep, duals: Array, at: Arrays) -
             over = max(work.g.flat[i] - p.high.flat[i], p.low.flat[i] - work.g.flat[i], 0.0)
             at.x[excess] = over if at.y[row] > -NOT_EXCEEDED else 0.0
     size = dual_scale(at.numbers.q[: N * p.h.shape[1]])
-    return (NOT_FINITE if rescale(places, at, size) < 0 else size), largest
+    return (size if rescale(places, at, size) else NOT_FINITE), largest
 
 
 @jit
@@ -340,7 +320,7 @@ def dual_scale(q: Array) -> float:
 
 
 @jit
-def rescale(places: Places, at: Arrays, size: float) -> int:
+def rescale(places: Places, at: Arrays, size: float) -> bool:
     """Scale the rows of the problem and of its dual, by the limits that the dual shows to be active.
 
     Parameters
@@ -351,11 +331,11 @@ def rescale(places: Places, at: Arrays, size: float) -> int:
 
     Returns
     -------
-    1 if a scale has changed, 0 if none has, -1 if a number is not finite.
+    False if a number is not finite.
     """
     numbers, y = at.numbers, at.y
     free = min(LIMIT_ROW * size, MAX_LIMIT_ROW)
-    changed, total = 0, np.sum(numbers.q) + np.sum(numbers.P)
+    total = np.sum(numbers.q) + np.sum(numbers.P)
     for i in range(len(y)):
         kind, active = places.kind[i], abs(y[i]) > NOT_ACTIVE
         if kind == DYNAMICS:
@@ -366,13 +346,12 @@ def rescale(places: Places, at: Arrays, size: float) -> int:
             s = SOFT_ROW * size
         else:
             s = (EXCESS_ROW if kind == EXCESS else SOFT_ACTIVE) * size
-        if s != at.scale[i]:
-            changed, at.scale[i] = 1, s
+        at.scale[i] = s
         at.l[i], at.u[i], at.scaled_y[i] = max(numbers.l[i] * s, -INFINITE), min(numbers.u[i] * s, INFINITE), y[i] / s
         total += y[i]
         if np.isnan(numbers.l[i]) or np.isnan(numbers.u[i]) or (kind == DYNAMICS and np.isinf(numbers.l[i])):
-            return -1
+            return False
     for i in range(len(at.A)):
         at.A[i] = numbers.A[i] * at.scale[places.row[i]]
         total += at.A[i]
-    return changed if np.isfinite(total) else -1
+    return bool(np.isfinite(total))

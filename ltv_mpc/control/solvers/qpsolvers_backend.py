@@ -90,10 +90,7 @@ def solve_qp(qp: QP, solver: str = "osqp") -> Solution:
     two_sided, h = vstack([G, -G], format="csr")[bound], h[bound]
     if not all(np.isfinite(part).all() for part in (qp.P.data, qp.q, qp.A.data, h, qp.l[equal])):
         return _no_solution(qp, SolveStatus.NON_FINITE, "the problem is not finite")
-    if solver in qpsolvers.dense_solvers and solver not in qpsolvers.sparse_solvers:
-        problem = qpsolvers.Problem(qp.P.toarray(), qp.q, two_sided.toarray(), h, E.toarray(), qp.l[equal])
-    else:
-        problem = qpsolvers.Problem(csc_matrix(qp.P), qp.q, csc_matrix(two_sided), h, csc_matrix(E), qp.l[equal])
+    problem = qpsolvers.Problem(csc_matrix(qp.P), qp.q, csc_matrix(two_sided), h, csc_matrix(E), qp.l[equal])
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # deprecations of a backend concern qpsolvers, not the user

@@ -37,8 +37,8 @@ class Sweep(NamedTuple):
     g: Array  # (N+1, M) result of the last sweep: values of the rows
     z: Array  # (N+1, n+m) its states and inputs
     law: Array  # (N, m, n+1+m) Y, y and L of each stage
-    P: Array  # (N+1, n, n) cost to go of each stage
-    v: Array  # (N+1, n)
+    P: Array  # (n, n) cost to go of a stage
+    v: Array  # (n,)
     PF: Array  # (n, n+m)
     M: Array  # (n+m, n+m)
     w: Array  # (n+m,)
@@ -55,25 +55,24 @@ class Sweep(NamedTuple):
         rows, z = np.zeros((N + 1, M)), n + m
         return cls(
             rows, rows.copy(), rows.copy(), np.zeros((N + 1, z)), np.zeros((N, m, n + 1 + m)),
-            np.zeros((N + 1, n, n)), np.zeros((N + 1, n)), np.zeros((n, z)), np.zeros((z, z)), np.zeros(z),
+            np.zeros((n, n)), np.zeros(n), np.zeros((n, z)), np.zeros((z, z)), np.zeros(z),
         )  # fmt: skip
 
 
 @jit_outlined
-def sweep(p: Problem, work: Sweep, last: int) -> bool:
+def sweep(p: Problem, work: Sweep) -> bool:
     """Find the states and inputs of least cost, by one backward and one forward sweep.
 
     Parameters
     ----------
     p : problem.
     work : its weight and linear are given; the rest is overwritten.
-    last : last stage whose weight or linear are not those of the sweep before; N if that was of another problem.
 
     Returns
     -------
     False if the cost has no minimum, or the result is not finite.
     """
-    if not _backward(p, work, last):
+    if not _backward(p, work):
         return False
     z, law, F, f, n = work.z, work.law, p.F, p.f, p.f.shape[1]
     m = z.shape[1] - n
@@ -97,22 +96,22 @@ def sweep(p: Problem, work: Sweep, last: int) -> bool:
 
 
 @jit
-def _backward(p: Problem, work: Sweep, last: int) -> bool:
-    """Compute the law of the stages up to one, from the last to the first; False if the cost has no minimum."""
+def _backward(p: Problem, work: Sweep) -> bool:
+    """Compute the law of all stages, from the last to the first; return False if the cost has no minimum."""
     F, f, H, h, G, weight, linear = p.F, p.f, p.H, p.h, p.G, work.weight, work.linear
-    Ps, vs, PF, M, w, laws = work.P, work.v, work.PF, work.M, work.w, work.law
+    P, v, PF, M, w, laws = work.P, work.v, work.PF, work.M, work.w, work.law
     (N, n), size, m = f.shape, len(w), 0
-    for k in range(last, -1, -1):
-        P, v, law = Ps[k], vs[k], laws[min(k, N - 1)]
+    for k in range(N, -1, -1):
+        law = laws[min(k, N - 1)]
         for j in range(size):
             w[j] = h[k, j]
         if k < N:
             m, gap = size - n, f[k].any()  # a solution of the equations of motion has no gap
             for i in range(n):
-                s = vs[k + 1, i] + (np.dot(Ps[k + 1, i], f[k]) if gap else 0.0)
+                s = v[i] + (np.dot(P[i], f[k]) if gap else 0.0)
                 for j in range(size):
                     w[j] += s * F[k, i, j]
-            np.dot(Ps[k + 1], F[k], PF)  # BLAS: a third of the time of loops
+            np.dot(P, F[k], PF)  # BLAS: a third of the time of loops
             np.dot(F[k].T, PF, M)
         for i in range(M.size):
             M.flat[i] = H.flat[k * M.size + i] + (M.flat[i] if k < N else 0.0)
