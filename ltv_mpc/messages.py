@@ -60,6 +60,7 @@ Speed: TypeAlias = Annotated[float, Meta(ge=-100.0, le=100.0, extra={"unit": "m/
 WaterSpeed: TypeAlias = Annotated[float, Meta(ge=-20.0, le=20.0, extra={"unit": "m/s"})]
 SpeedDeviation: TypeAlias = Annotated[float, Meta(ge=0.0, le=1e6, extra={"unit": "m/s"})]
 SpeedVariance: TypeAlias = Annotated[float, Meta(ge=-1e12, le=1e12, extra={"unit": "m2/s2"})]
+RandomWalk: TypeAlias = Annotated[float, Meta(ge=0.0, le=1e6, extra={"unit": "m/s per sqrt(s)"})]
 Angle: TypeAlias = Annotated[float, Meta(ge=-1e4, le=1e4, extra={"unit": "rad"})]  # headings may be unwrapped
 AngularRate: TypeAlias = Annotated[float, Meta(ge=-100.0, le=100.0, extra={"unit": "rad/s"})]
 SpecificForce: TypeAlias = Annotated[float, Meta(ge=-1e4, le=1e4, extra={"unit": "m/s2"})]
@@ -446,6 +447,8 @@ class LocalisationReport(Message, frozen=True, kw_only=True, eq=False):
     """reason of the status; empty while nominal"""
     restarts: Count
     """restarts of the filter so far"""
+    water_walk_mps_per_rts: RandomWalk
+    """random walk added to that of the current because the innovations require it; 0: none"""
     sensors: tuple[SensorReport, ...]
     """one report for each sensor"""
     innovations: tuple[InnovationSample, ...] = ()
@@ -977,8 +980,10 @@ class Applied(Message, frozen=True, kw_only=True, eq=False):
     """cycle_t_ns of the newest accepted plan; 0 before the first"""
     plan_received_t_ns: Time
     """arrival of the newest accepted plan; 0 before the first"""
+    plan_late: bool
+    """that plan arrived after its own first knot: a deadline miss"""
     plans_late: Count
-    """plans so far that arrived after their own first knot: deadline misses"""
+    """late plans so far"""
     plans_rejected: Count
     """plans rejected so far: outside box or slew limit, out of order, or of a second controller"""
     health: Health = Health.NOMINAL
@@ -1165,6 +1170,8 @@ class RejectedFrame(Message, frozen=True, kw_only=True, eq=False):
     """reason of the rejection, with the field and its bound"""
     crc: Identifier
     """CRC-32 of the payload"""
+    payload_base64: str
+    """first bytes of the frame, at most 3072"""
 
 
 class InboxEntry(msgspec.Struct, frozen=True, array_like=False, kw_only=True, forbid_unknown_fields=True):

@@ -40,8 +40,8 @@ import numpy as np
 from ltv_mpc.frames import wrap_angle
 from ltv_mpc.jit import copy_to, jit
 from ltv_mpc.messages import Action, Applied, Array, Command, Disturbance, Message, Pair, Plan, Times, Triple, Truth
-from ltv_mpc.node import Grid, Inbox, ReceivedMessage
-from ltv_mpc.safety.plan_gate import PlanGate, PlanVerdict
+from ltv_mpc.node import Grid, Inbox
+from ltv_mpc.safety.plan_gate import PlanGate
 from ltv_mpc.vehicle.parameters import Vehicle
 from sim import motion
 from sim.attitude import Attitude, TiltWaves, roll_and_pitch
@@ -93,7 +93,6 @@ class Plant:
         self._t_ns: int | None = None
         self._disturbance: Disturbance | None = None
         self._gate = PlanGate(vehicle)
-        self._receipt: tuple[Plan, ReceivedMessage] | None = None  # of the plan accepted last
 
     def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
         """Simulate to ``t_ns`` in steps of ``STEP_NS``, each with the messages that have arrived by its end.
@@ -126,9 +125,7 @@ class Plant:
                 # A plan acts from its arrival on, which may lie within the step.
                 at_ns = min(max(received.received_t_ns, at_ns), t_ns)
                 self._gate.command_at(max(at_ns, 0))
-                verdict = self._gate.offer(received.message, received.epoch, received.sequence, received.received_t_ns)
-                if verdict in (PlanVerdict.ACCEPTED, PlanVerdict.LATE):
-                    self._receipt = received.message, received
+                self._gate.offer(received.message, received.epoch, received.sequence, received.received_t_ns)
         observed = self._move([from_ns, *times_ns]) if t_ns > from_ns else self._observe(t_ns)
         for received in inbox:
             if isinstance(received.message, Disturbance):  # it acts from the next step on
@@ -211,20 +208,8 @@ class Plant:
     def _report(self, t_ns: int) -> Applied:
         slew = _triple(self._slew)
         self._slew = np.zeros(3)
-        plan, received = self._receipt or (None, None)
-        return Applied(
-            t_ns=t_ns,
-            thrust_N=_triple(self._vehicle.F),
-            command_N=_triple(self._command),
-            command_slew_N_per_s=slew,
-            plan_epoch=0 if received is None else received.epoch,
-            plan_sequence=-1 if received is None else received.sequence,
-            plan_cycle_t_ns=0 if plan is None else plan.cycle_t_ns,
-            plan_received_t_ns=0 if received is None else received.received_t_ns,
-            plans_late=self._gate.plans_late,
-            plans_rejected=self._gate.plans_rejected,
-            health=self._gate.health(t_ns),
-        )
+        rejected = self._gate.plans_rejected
+        return self._gate.applied(t_ns, self._vehicle.F, self._command, slew_N_per_s=slew, rejected=rejected)
 
 
 def _steps_at_once(times_ns: Sequence[int], waiting: Inbox) -> int:

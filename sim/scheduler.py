@@ -1,12 +1,10 @@
 """Lock step: all nodes of a run in one process on a simulated clock. One seed gives the same bits in every run.
 
 At one instant pending deliveries come first, then steps in the order of the list of nodes: plant, sensors, estimator,
-controller. A message is delivered at once to every node that reads its type, with two exceptions:
-
-- The output of a ``Cycle`` node arrives exactly ``compute_delay_ns`` after the start of its cycle. Until then the cycle
-  is in flight and the next one waits: there is one solve at a time. Without delay the plan arrives at the same
-  instant. The plant, first in the list, has then already stepped, so it acts on the plan in its next step.
-- Of a type in ``latest`` an inbox holds the newest message only.
+controller. A message is delivered at once to every node that reads its type, but the output of a ``Cycle`` node arrives
+exactly ``compute_delay_ns`` after the start of its cycle. Until then the cycle is in flight and the next one waits:
+there is one solve at a time. Without delay the plan arrives at the same instant. The plant, first in the list, has then
+already stepped, so it acts on the plan in its next step.
 
 The caller of a cycle measures it. Here nothing is measured: a cycle that made a plan is followed by a ``CycleTiming``
 with ``compute_delay_ns``, no wall time and no stages.
@@ -20,15 +18,12 @@ from functools import partial
 from itertools import count
 from typing import Any, NamedTuple, Protocol, TypeAlias
 
-from ltv_mpc.messages import CycleTiming, Estimate, Message, Plan, RejectedFrame
+from ltv_mpc.messages import CycleTiming, Message, Plan, RejectedFrame
 from ltv_mpc.node import Cycle, Inbox, Node, OnMessage, ReceivedMessage
 from ltv_mpc.validation import Validator, validator
 
 EPOCH = 1
 """Epoch of every node: in lock step no node restarts."""
-
-LATEST: frozenset[type[Message]] = frozenset({Estimate})
-"""Types of which a reader receives the newest message only."""
 
 Cause: TypeAlias = str | type[Message]
 """Cause of a step: ``"grid"``, ``"cycle"`` or the type of the message that caused it."""
@@ -73,7 +68,7 @@ NO_OBSERVATION = Observation()
 def rejected_by_type_name(node: str, message: ReceivedMessage, reason: str) -> RejectedFrame:
     """Return the rejection of a message that has no frame: its type for the key, and neither crc nor payload."""
     kind = type(message.message).__name__
-    return RejectedFrame(t_ns=message.received_t_ns, node=node, key=kind, reason=reason, crc=0)
+    return RejectedFrame(t_ns=message.received_t_ns, node=node, key=kind, reason=reason, crc=0, payload_base64="")
 
 
 PENDING = -1
@@ -96,23 +91,19 @@ class _Route(NamedTuple):
 class _ScheduledNode:
     """Node with the messages that wait for its next step."""
 
-    def __init__(self, index: int, node: Node, latest: frozenset[type[Message]]) -> None:
+    def __init__(self, index: int, node: Node) -> None:
         self.index, self.name, self.step = index, node.name, node.step
         self.reads, self.writes = frozenset(node.reads), frozenset((*node.writes, *_OWN))
         schedule = node.schedule
         self.cycles = isinstance(schedule, Cycle)
         self.causes = frozenset(schedule.types if isinstance(schedule, OnMessage) else ())
         self.period_ns = 0 if isinstance(schedule, OnMessage) else schedule.period_ns
-        self._latest = latest.intersection(node.reads) - self.causes
         self._waiting: list[ReceivedMessage] = []
         self.routes: dict[type[Message], _Route] = {}
         self.steps = 0
 
     def receive(self, received: ReceivedMessage) -> None:
         """Put a message into the inbox of the next step."""
-        kind = type(received.message)
-        if kind in self._latest:
-            self._waiting = [waiting for waiting in self._waiting if type(waiting.message) is not kind]
         self._waiting.append(received)
 
     def take(self) -> list[ReceivedMessage]:
@@ -131,7 +122,6 @@ class LockStep:
         start_ns: int,
         compute_delay_ns: int | Callable[[int], int] = 0,
         observation: Observation = NO_OBSERVATION,
-        latest: frozenset[type[Message]] = LATEST,
         make_rejection: MakeRejection = rejected_by_type_name,
     ) -> None:
         """Schedule the nodes.
@@ -142,7 +132,6 @@ class LockStep:
         start_ns : vehicle time of the start (ns).
         compute_delay_ns : delay of a cycle's output (ns): one for all cycles, or a function of a cycle's start.
         observation : observer of messages and steps.
-        latest : types of which a reader receives the newest message only.
         make_rejection : returns the message that reports a rejected one.
         """
         self._compute_delay_ns = compute_delay_ns if callable(compute_delay_ns) else lambda _: compute_delay_ns
@@ -153,7 +142,7 @@ class LockStep:
         self._count = count()
         # Heap of what happens next: time, place in the list, a count, and the action.
         self._events: list[tuple[int, int, int, Callable[[], None]]] = []
-        self._nodes = [_ScheduledNode(index, node, latest) for index, node in enumerate(nodes)]
+        self._nodes = [_ScheduledNode(index, node) for index, node in enumerate(nodes)]
         for node in self._nodes:
             if node.period_ns:  # on the grid k x period, not before the start
                 self._schedule_step(node, -(-start_ns // node.period_ns) * node.period_ns)
@@ -241,10 +230,8 @@ class LockStep:
             reader.receive(received)
 
     def _reject(self, reader: _ScheduledNode, message: ReceivedMessage, reason: str, at_ns: int) -> None:
-        """Publish the rejection in the reader's name; the reader itself receives it, if it reads rejections."""
-        _, rejected = self._announce(reader, self._make_rejection(reader.name, message, reason), at_ns)
-        if RejectedFrame in reader.reads:
-            reader.receive(rejected)
+        """Publish the rejection in the reader's name."""
+        self._announce(reader, self._make_rejection(reader.name, message, reason), at_ns)
 
 
 _OWN = (CycleTiming, RejectedFrame)

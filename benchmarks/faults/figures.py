@@ -75,7 +75,7 @@ def _false(message: Message) -> Message:
 
 COUNTS = dict.fromkeys(("steps", "published", "received", "dropped", "rejected"), FAR)
 STATUS = NodeStatus(node="sensors", t_ns=0, ready=True, waiting_for="", **COUNTS)
-REJECTED = RejectedFrame(t_ns=0, node="sensors", key="plan", reason="false", crc=0)
+REJECTED = RejectedFrame(t_ns=0, node="sensors", key="plan", reason="false", crc=0, payload_base64="")
 REPORTS: Sequence[tuple[str, Message]] = (
     ("status/x", STATUS),
     ("event/x", RunEvent(t_ns=0, node="supervisor", kind="fault", text="false")),
@@ -102,8 +102,7 @@ class Witness:
         if node == world.INTRUDER:
             message = msgspec.structs.replace(message, epoch=INTRUDERS_EPOCH)
         else:
-            source = {"epoch": message.epoch, "sequence": message.sequence, "t_ns": message.received_t_ns}
-            self._metrics.observe(message.message, **source)
+            self._metrics.observe(message.message, epoch=message.epoch, sequence=message.sequence)
             self._published += 1
         self._rejected += node == world.INTRUDER or isinstance(message.message, RejectedFrame)
         self._write(node, message)

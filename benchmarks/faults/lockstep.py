@@ -252,7 +252,6 @@ def _lock_step(
         start_ns=of.scenario.start_ns,
         compute_delay_ns=parts.compute_delay_ns,
         observation=Observation(observer, on_step=log.stepped),
-        latest=lockstep_run.LATEST,
         make_rejection=lockstep_run.rejected_message,
     )
     uncontrolled, until_ns = "", of.scenario.end_ns

@@ -320,7 +320,7 @@ class _Thrusters:
         self._knots: tuple[Array, Array] = np.array([0.0]), np.zeros((1, 2))
         self._sent: list[tuple[int, int, npt.NDArray[np.int64], Array]] = []
         self._command = [0.0, 0.0]
-        self._sequence, self._cycle_ns, self._received_ns, self._late = -1, 0, 0, 0
+        self._sequence, self._cycle_ns, self._received_ns, self._late, self._all_late = -1, 0, 0, False, 0
 
     def send(self, t_ns: int, arrival_ns: int, knots_ns: npt.NDArray[np.int64], thrust_N: Array) -> None:
         """Put a plan on its way."""
@@ -330,8 +330,8 @@ class _Thrusters:
         """Replace the plan in force from the first knot of the plan that has arrived."""
         while self._sent and self._sent[0][1] <= t_ns:
             self._cycle_ns, _, knots, thrust = self._sent.pop(0)
-            self._sequence, self._received_ns = self._sequence + 1, t_ns
-            self._late += t_ns > knots[0]
+            self._sequence, self._received_ns, self._late = self._sequence + 1, t_ns, t_ns > knots[0]
+            self._all_late += self._late
             old_t, old = self._knots
             keep = old_t < knots[0]
             if keep.any():  # the old plan up to the instant before the new one
@@ -369,6 +369,7 @@ class _Thrusters:
             plan_sequence=self._sequence,
             plan_cycle_t_ns=self._cycle_ns,
             plan_received_t_ns=self._received_ns,
-            plans_late=self._late,
+            plan_late=self._late,
+            plans_late=self._all_late,
             plans_rejected=0,
         )

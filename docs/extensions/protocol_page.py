@@ -46,8 +46,8 @@ def page() -> str:
 def _table(name: str, argument: str, named: Iterable[str]) -> str:
     match name:
         case "topics":
-            rows = [(*_row(t, f"#{_key(t)}"), _who(t.read_by), t.delivery.value) for t in TOPICS if t.key in named]
-            return _markdown((*HEAD, "read by", "delivery"), rows)
+            rows = [(*_row(t, f"#{_key(t)}"), _who(t.read_by)) for t in TOPICS if t.key in named]
+            return _markdown((*HEAD, "read by"), rows)
         case "rest":
             rest = [topic for topic in TOPICS if topic.key not in named]
             return _markdown(

@@ -167,7 +167,6 @@ class ControllerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     disturbance: Disturbance = Disturbance()
     limits: MotionLimits = MotionLimits()  # soft limits of the motion
     position_tolerance_m: Annotated[float, Meta(ge=0, le=1000)] = 0.0  # at a point: distance that costs nothing
-    reduce_weak_thruster: bool = True  # plan with the share that a weak thruster delivers: weak_thruster.py
     lateral: bool = True  # false: no lateral control, both lateral thrusters stay at zero
     sqp_iterations: Annotated[int, Meta(ge=1, le=6)] = (
         2  # QPs per cycle, each linearised along the solution of the one before

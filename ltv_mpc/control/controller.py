@@ -595,7 +595,7 @@ class Controller:
         The lateral thrusts ramp to zero and the vertical one to the failsafe thrust (to zero under an override). The
         ramps begin at the commands in force, or at zero if these are not available.
         """
-        self._lateral.discard_solvers()
+        self._lateral.discard_solver()
         self._lateral.previous.plan = None
         delay_ns = self._delay.expected_ns
         knots = now_ns + delay_ns + self._lateral.previous.knots_ns

@@ -80,7 +80,7 @@ class EstimateSources:
         ----------
         t_ns : current time (ns).
         """
-        active, second = self.selector.active, self.selector.contest.second(t_ns)
+        active, second = self.selector.active, self.selector.second(t_ns)
         if active is None or second is None:
             return NOMINAL
         key = "estimate" if active.name == DEFAULT_SOURCE else f"estimate/{active.name}"

@@ -4,12 +4,6 @@
                          ^                                                                                       |
                          +------------------------- linearise, ``sqp_iterations`` times -------------------------+
 
-The QP has the rows of fence and corridor only where they bind: without them it is solved faster. Where the nominal
-trajectory is near to a zone, the QP without them comes first, unless rows bound in the last one. If its solution meets
-all rows, it is that of the QP with the rows; if not, that one is solved. If the step from a trajectory that is not near
-leads into a zone, one more QP follows, with the rows. The first QP with a fence has them in any case, so that a solver
-of that pattern is set up before a zone is near: this takes as long as several cycles.
-
 A cycle whose QP gives no usable commands takes the next fallback level (``fallback.py``).
 
 A weak thruster delivers a share of its command. Every thrust in the planner is the delivered one: the command in force,
@@ -34,10 +28,10 @@ from ltv_mpc.control.fencing import Fencing
 from ltv_mpc.control.linearisation import describe_non_finite
 from ltv_mpc.control.nominal import Cycle
 from ltv_mpc.control.ocp.extension import Limit, Term
-from ltv_mpc.control.ocp.problem import Problem, is_finite
+from ltv_mpc.control.ocp.problem import is_finite
 from ltv_mpc.control.prediction import Start, currents_at_depths
 from ltv_mpc.control.problem_data import Constants
-from ltv_mpc.control.solvers import Result, Solver, SolverFactory
+from ltv_mpc.control.solvers import Solver, SolverFactory
 from ltv_mpc.messages import Array, Estimate, Pair, PlanOrigin, Solve, SolveStatus
 from ltv_mpc.node import Stopwatch
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -45,9 +39,6 @@ from ltv_mpc.vehicle.parameters import Vehicle
 MAX_PRIMAL_RESIDUAL = 1.0
 """Largest primal residual with which an early-terminated solution is used; scaled, so that 1 is one metre or the whole
 thrust of a thruster."""
-
-BINDING = 1e-3
-"""Surplus of a row up to which it binds, in units of S: the solvers meet rows to their tolerance."""
 
 MAX_WHY_CHARS = 200
 """Longest text of an exception in a plan."""
@@ -89,11 +80,8 @@ class LateralPlanner:
         self._vehicle, self._config_for = vehicle, functools.cache(functools.partial(_config_for, config))
         self._config = self._config_for(path=False, heading=False)
         self._make_solver: Callable[[], Solver] = lambda: make_solver(self._weakened_vehicle(), self._config)
-        self._solvers: dict[int, Solver] = {}  # by the rows of a knot: a QP has a fixed pattern
-        self._last_solver: Solver | None = None
+        self._solver: Solver | None = self._new_solver()
         self._stopwatch = stopwatch
-        self._rows_bind = False  # in the last QP; True: the next one has the rows
-        self._solver(self._cycle.plain)
 
     @property
     def target(self) -> Array:
@@ -109,7 +97,7 @@ class LateralPlanner:
         depth_m : (N+1,) predicted depths at the knots (m).
         """
         if self._cycle.set_fence_rows(self.fencing.rows):
-            self._rows_bind = True  # the solver of this pattern is set up now
+            self.discard_solver()
         self._cycle.lin.C[:] = currents_at_depths(estimate.current, depth_m)
 
     def bend_target(self, start: Start) -> None:
@@ -175,7 +163,7 @@ class LateralPlanner:
         config, learned = self._config, self._cycle.constants.p
         of = Constants.of(self._weakened_vehicle(), config.weights, config.knots, config.limits.state_bounds)
         self._cycle.constants = of._replace(p=learned)
-        self.discard_solvers()
+        self.discard_solver()
 
     def stop(self, start: Start, why: str) -> LateralPlan:
         """Stop the vehicle through the water.
@@ -211,9 +199,9 @@ class LateralPlanner:
         braking = self._fallback.with_braking_tail(start, plan)
         return braking if self.fencing.enters_s(braking.X) > enters_s else plan
 
-    def discard_solvers(self) -> None:
-        """Make new solvers before the next solve: the workspaces of these may hold numbers that are not finite."""
-        self._solvers.clear()
+    def discard_solver(self) -> None:
+        """Make a new solver before the next solve: the workspace of this one may hold numbers that are not finite."""
+        self._solver = None
 
     def _solve(self, start: Start) -> LateralPlan | Solve:
         """Solve ``sqp_iterations`` QPs, each along the trajectory of the one before.
@@ -224,63 +212,43 @@ class LateralPlanner:
         cycle.scene = self.fencing.scene
         shift = self._linearise(start)
         X, U = self._fallback.empty()
-        left = self._config.sqp_iterations
-        while left > 0:
-            near = cycle.fenced is not None and (self._rows_bind or cycle.is_near)
+        for left in reversed(range(self._config.sqp_iterations)):
             self._stopwatch("linearise")
-            commands, solve = self._solve_qp(shift, near=near, last=left == 1)
+            commands, solve = self._solve_qp(shift, last=left == 0)
             if solve.status is not SolveStatus.SOLVED:
                 if not is_usable(commands, solve):
                     return solve
                 # The line search brings it into box and slew, and takes it only as far as the cost does not rise.
             elif not math.isfinite(np.vdot(commands, commands)):
                 return Solve(status=SolveStatus.NON_FINITE, why="the solver's commands are not finite")
-            step, enters = nominal.line_search(cycle, commands, X, U)
+            step = nominal.line_search(cycle, commands, X, U)
             # A step above zero has a finite cost, so its states and commands are finite.
             if step == 0.0 and not (np.isfinite(X).all() and np.isfinite(U).all()):
                 return Solve(status=SolveStatus.NON_FINITE, why="the predicted motion is not finite")
             shift = 0.0
-            if enters and not near:
-                self._rows_bind = True
-            else:
-                left -= 1
             if left > 0:
                 cycle.lin.X[...], cycle.lin.U[...] = X, U
                 cycle.linearise()
         return LateralPlan(X, U, PlanOrigin.SOLVED, solve, "")
 
-    def _solve_qp(self, shift: float, *, near: bool, last: bool) -> tuple[Array, Solve]:
-        """Return the commands of the QP and the solver's report; ``near``: with the fence's rows where they bind."""
-        cycle, has_rows = self._cycle, near and self._rows_bind
-        fenced = cycle.fill(cycle.fenced) if near and cycle.fenced is not None else None
-        first = fenced if has_rows and fenced is not None else cycle.fill(cycle.plain)
-        result = self._run_solver(first, shift, last=last)
-        surplus = cycle.surplus(result.z) if near else math.inf
-        self._rows_bind = surplus < (BINDING if has_rows else 0.0)
-        if self._rows_bind and not has_rows and fenced is not None:
-            result = self._run_solver(fenced, 0.0, last=last)
-        return cycle.commands(result.z), result.solve
-
-    def _run_solver(self, problem: Problem, shift: float, *, last: bool) -> Result:
-        solver = self._solver(problem)
-        if solver is not self._last_solver:
-            shift = math.nan
-        self._last_solver = solver
+    def _solve_qp(self, shift: float, *, last: bool) -> tuple[Array, Solve]:
+        """Return the commands of the QP and the solver's report."""
+        cycle = self._cycle
+        cycle.fill()
+        if self._solver is None:
+            self._solver, shift = self._new_solver(), math.nan
         self._stopwatch("build")
-        result = solver.solve(problem, shift, last=last)
+        z, solve = self._solver.solve(cycle.problem, shift, last=last)
         self._stopwatch("solve")
-        if result.solve.status is SolveStatus.NON_FINITE and not is_finite(problem):
-            why = describe_non_finite(self._cycle.lin, self.target)
-            return result._replace(solve=msgspec.structs.replace(result.solve, why=why))
-        return result
+        if solve.status is SolveStatus.NON_FINITE and not is_finite(cycle.problem):
+            solve = msgspec.structs.replace(solve, why=describe_non_finite(cycle.lin, self.target))
+        return cycle.commands(z), solve
 
-    def _solver(self, problem: Problem) -> Solver:
-        """Return the solver of problems of this size."""
-        rows = problem.low.shape[1]
-        if rows not in self._solvers:
-            self._solvers[rows] = self._make_solver()
-            self._solvers[rows].set_up(self._cycle.full_problem(problem))
-        return self._solvers[rows]
+    def _new_solver(self) -> Solver:
+        """Return a solver that is set up, which takes as long as several cycles."""
+        solver = self._make_solver()
+        solver.set_up(self._cycle.full_problem())
+        return solver
 
     def _linearise(self, start: Start) -> float:
         """Linearise along the previous plan on the new knots, or along a steering guess if that costs less.
@@ -295,7 +263,7 @@ class LateralPlanner:
 
     def _fall_back(self, start: Start, solve: Solve) -> LateralPlan:
         """Return the plan of the first fallback level that gives one."""
-        self.discard_solvers()
+        self.discard_solver()
         np.nan_to_num(self._cycle.lin.C, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
         return self._fallback.plan(start, solve)
 

@@ -43,13 +43,12 @@ from ltv_mpc.messages import (
     ModelCheck,
     Obstacles,
     Plan,
-    RejectedFrame,
 )
 from ltv_mpc.node import Cycle, Inbox, ReceivedMessage, Stopwatch, no_stopwatch
 from ltv_mpc.references import Reference
 from ltv_mpc.safety.command_arbiter import MANUAL_TIMEOUT_NS, CommandArbiter
 from ltv_mpc.safety.health import NOMINAL, HealthState, plan_timeout_ns, report_health, worst
-from ltv_mpc.safety.input_age import SECOND_SOURCE, InputMonitor
+from ltv_mpc.safety.input_age import InputMonitor
 from ltv_mpc.safety.mission_policy import MissionPolicy
 from ltv_mpc.safety.model_monitor import ModelMonitor
 from ltv_mpc.safety.source_selector import Source
@@ -68,11 +67,10 @@ class ControllerNode:
     """Controller of one vehicle as a node.
 
     It reads the newest ``Estimate`` and ``Manual``, and each ``Applied``, ``Command``, ``CycleTiming``, ``ClockStep``,
-    ``Battery``, ``Leak``, ``Obstacles`` and ``Heartbeat``, and the ``RejectedFrame`` of its own process; commands after
-    the other messages of an inbox. It writes one ``Plan`` per cycle, also while disarmed: that plan ramps all thrusts
-    to zero. It also writes an ``Acknowledgement`` for each command, and from time to time a ``ControllerState``, a
-    ``ModelCheck`` and, with a fence or obstacles, a ``FenceInForce``. A node that replaces another one receives the
-    newest ``ControllerState`` as its first message.
+    ``Battery``, ``Leak``, ``Obstacles`` and ``Heartbeat``; commands after the other messages of an inbox. It writes one
+    ``Plan`` per cycle, also while disarmed: that plan ramps all thrusts to zero. It also writes an ``Acknowledgement``
+    for each command, and from time to time a ``ControllerState``, a ``ModelCheck`` and, with a fence or obstacles, a
+    ``FenceInForce``. A node that replaces another one receives the newest ``ControllerState`` as its first message.
     """
 
     name = "controller"
@@ -87,7 +85,6 @@ class ControllerNode:
         Battery,
         Leak,
         Obstacles,
-        RejectedFrame,
     )
     writes: tuple[type[Message], ...] = (Plan, Acknowledgement, ControllerState, ModelCheck, FenceInForce)
 
@@ -185,8 +182,6 @@ class ControllerNode:
                     self.controller.add_report(applied)
                     self._model_monitor.add_report(applied)
                     self._plan_rejections.add(applied, received.received_t_ns)
-            case RejectedFrame() as rejected if rejected.key == ACTUATORS:
-                self.reports.reject(rejected.reason)
             case CycleTiming() as timing:
                 self.controller.add_timing(timing)
             case Obstacles() as obstacles:
@@ -240,28 +235,16 @@ class ControllerNode:
             "commands": self.controller.actuator_check.health,
             "clock": self._health_of_clock(t_ns),
             "obstacles": self._commands.fence.health,
-            "source": worst(self.sources.health(t_ns), self._health_of_report_source(t_ns)),
+            "source": self.sources.health(t_ns),
             "vehicle file": self.controller.vehicle_file_check.health,  # stands for minutes, and hides nothing new
-            "thrusters": self._health_of_thrusters(),
+            "thrusters": self._model_monitor.weak_thruster.health(self.controller.vehicle),
         }
-
-    def _health_of_report_source(self, t_ns: int) -> HealthState:
-        """Return the health by a second source of the actuators' reports, whose frames validation rejects."""
-        why = self.reports.contest.second(t_ns)
-        if why is None:
-            return NOMINAL
-        return HealthState(Health.DEGRADED, f"{SECOND_SOURCE} on {ACTUATORS}{why.removeprefix(SECOND_SOURCE)}")
 
     def _health_of_clock(self, t_ns: int) -> HealthState:
         """Return the health by doubts about a publisher's clock."""
         if self._clock_doubt is not None and t_ns - self._clock_doubt.t_ns < CLOCK_DOUBT_NS:
             return HealthState(Health.DEGRADED, UNCERTAIN_CLOCK)
         return NOMINAL
-
-    def _health_of_thrusters(self) -> HealthState:
-        """Return the health by a weak thruster whose box is reduced."""
-        reduced = self.controller.config.reduce_weak_thruster
-        return self._model_monitor.weak_thruster.health(self.controller.vehicle) if reduced else NOMINAL
 
     def _pre_arm_failures(self) -> list[Failure]:
         """Return the pre-arm checks that fail now."""
@@ -306,12 +289,10 @@ class ControllerNode:
         return msgspec.structs.replace(check, alarm=True, why=f"{why}; {check.why}" if check.why else why)
 
     def _set_thrust_shares(self) -> None:
-        """Plan with the share that a weak thruster delivers, unless the settings turn this off."""
+        """Plan with the share that a weak thruster delivers."""
         monitor, weak = self._model_monitor, self._model_monitor.weak_thruster
-        reduced = self.controller.config.reduce_weak_thruster and weak.is_weak
-        known = reduced and not weak.may_be_weaker
-        shares = weak.shares if reduced else (1.0, 1.0)
-        self.controller.set_thrust_shares(shares, in_doubt=monitor.suspects_loss and not known)
+        known = weak.is_weak and not weak.may_be_weaker
+        self.controller.set_thrust_shares(weak.shares, in_doubt=monitor.suspects_loss and not known)
 
     # --- saved state ---
 

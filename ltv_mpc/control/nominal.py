@@ -25,9 +25,8 @@ problem, however far it drifts. The way out is to turn first and to push afterwa
 
 Yaw moment N and surge force X are distributed to port and starboard, inside box and slew. The QP refines the result.
 
-``Cycle`` has what the trajectories and problems of one cycle are made from, and the problems themselves. The arrays
-stay the same from cycle to cycle, and each cycle overwrites them. There are two problems: with the rows of
-fence and corridor and without, because a problem without them is solved faster.
+``Cycle`` has what the trajectories and the problem of one cycle are made from, and the problem itself. The arrays stay
+the same from cycle to cycle, and each cycle overwrites them.
 """
 
 from __future__ import annotations
@@ -43,9 +42,9 @@ from ltv_mpc.control.linearisation import Linearisation, linearise_along, propag
 from ltv_mpc.control.ocp import assembly, fence, limits
 from ltv_mpc.control.ocp.assembly import cost
 from ltv_mpc.control.ocp.extension import Extensions, Limit, Term
-from ltv_mpc.control.ocp.fence import Scene, fence_cost, is_near
+from ltv_mpc.control.ocp.fence import Scene, fence_cost
 from ltv_mpc.control.ocp.limits import clip_to_limits, command_bounds
-from ltv_mpc.control.ocp.problem import Problem, least_surplus
+from ltv_mpc.control.ocp.problem import Problem
 from ltv_mpc.control.problem_data import CHANGES, COMMANDS, STAGE_S, Constants
 from ltv_mpc.control.terminal_check import check_terminal
 from ltv_mpc.jit import copy_to, jit
@@ -69,7 +68,7 @@ UNKNOWN = Score(math.inf, math.inf, False, 0.0)
 
 
 class Cycle:
-    """Constants, target, zones and linearisation of a cycle, and its problems."""
+    """Constants, target, zones and linearisation of a cycle, and its problem."""
 
     def __init__(self, constants: Constants, scene: Scene, terms: Sequence[Term | Limit] = ()) -> None:
         """Allocate the arrays.
@@ -92,17 +91,18 @@ class Cycle:
         """Score of the nominal trajectory."""
         self.further = Extensions(terms, np.diff(constants.t), self.target) if terms else None
         """Terms and limits of a user."""
-        self.plain = assembly.empty(stages, 0 if self.further is None else self.further.rows)
-        """Problem without the rows of the fence."""
-        self.fenced: Problem | None = None
-        """Problem with these rows; None if there is no fence."""
+        self._own_rows = 0 if self.further is None else self.further.rows
+        self.fence_rows = 0
+        """Rows of fence and corridor at a knot, the last ones of the problem."""
+        self.problem = assembly.empty(stages, self._own_rows)
+        """Problem of the cycle."""
 
     def linearise(self) -> None:
         """Linearise along the nominal trajectory."""
         linearise_along(self.lin, self.constants.t, STAGE_S, self.constants.p)
 
     def set_fence_rows(self, rows: int) -> bool:
-        """Set how many rows of a knot are those of fence and corridor, and return True if the number has changed.
+        """Set how many rows of a knot are those of fence and corridor, and return True if the problem is another one.
 
         Parameters
         ----------
@@ -110,26 +110,14 @@ class Cycle:
         """
         if rows == self.fence_rows:
             return False
-        further = self.plain.low.shape[1] - limits.ROWS
-        self.fenced = assembly.empty(len(self.target) - 1, further + rows) if rows else None
+        self.fence_rows, self.problem = rows, assembly.empty(len(self.target) - 1, self._own_rows + rows)
         return True
 
-    @property
-    def fence_rows(self) -> int:
-        """Rows of fence and corridor at a knot."""
-        return 0 if self.fenced is None else self.fenced.low.shape[1] - self.plain.low.shape[1]
-
-    def fill(self, problem: Problem) -> Problem:
-        """Fill in one of both problems along the nominal trajectory, and return it.
-
-        Parameters
-        ----------
-        problem : is overwritten.
-        """
-        self._fill(problem, self.lin, self.target)
-        if problem is self.fenced:
-            fence.fill(self.constants, self.lin.X, self.scene, self.fence_rows, problem)
-        return problem
+    def fill(self) -> None:
+        """Fill in the problem along the nominal trajectory."""
+        self._fill(self.problem, self.lin, self.target)
+        if self.fence_rows:
+            fence.fill(self.constants, self.lin.X, self.scene, self.fence_rows, self.problem)
 
     def _fill(self, problem: Problem, lin: Linearisation, target: Array) -> None:
         """Fill in all but the rows of the fence."""
@@ -138,15 +126,6 @@ class Cycle:
         if self.further is not None:
             scale = np.concatenate([o.state_scale, o.thrust_scale, o.thrust_scale])
             self.further.add(problem, limits.ROWS, lin.X, lin.U, scale)
-
-    def surplus(self, z: Array) -> float:
-        """Return by how much a solution keeps the rows of the fence; negative: not all of them.
-
-        Parameters
-        ----------
-        z : (N+1, 12) solution of either problem; the other one is filled in.
-        """
-        return np.inf if self.fenced is None else least_surplus(self.fenced, z, self.plain.low.shape[1])
 
     def commands(self, z: Array) -> Array:
         """Return the commands (N+1, 2) of a solution (N).
@@ -160,26 +139,17 @@ class Cycle:
         return commands
 
     @property
-    def is_near(self) -> bool:
-        """True if the nominal trajectory comes near to a zone, an obstacle or the edge of the corridor."""
-        return is_near(self.lin.X, self.scene, self.constants.t, self.position_scale_m)
-
-    @property
     def position_scale_m(self) -> float:
         """Scale S of a position."""
         return float(self.constants.state_scale[0])
 
-    def full_problem(self, problem: Problem) -> Problem:
-        """Return a problem of a size in which every number that can differ from zero does: it gives the pattern.
+    def full_problem(self) -> Problem:
+        """Return a problem in which every number that can differ from zero does: it gives the pattern.
 
         Otherwise the pattern, and with it the rounding, would depend on what was solved before.
-
-        Parameters
-        ----------
-        problem : of that size.
         """
-        N, n, m, M = problem.sizes
-        full, first = Problem.empty(N, n, m, M), self.plain.sizes[3]
+        N, n, m, M = self.problem.sizes
+        full, first = Problem.empty(N, n, m, M), M - self.fence_rows
         self._fill(full, _any_motion(self.constants), np.ones_like(self.target))
         full.G[1:, first:, :2], full.low[1:, first:], full.penalty[1:, first:] = 1.0, -1.0, 1.0
         return full
@@ -289,7 +259,7 @@ def _score(cycle: Cycle, X: Array, U: Array, most: float = math.inf) -> Score:
     if of_terms > most:
         return UNKNOWN
     further = 0.0 if cycle.further is None else cycle.further.cost(X, U)
-    zones = 0.0 if cycle.fenced is None else fence_cost(X, cycle.scene, cycle.constants.t, cycle.position_scale_m)
+    zones = fence_cost(X, cycle.scene, cycle.constants.t, cycle.position_scale_m) if cycle.fence_rows else 0.0
     return Score(of_terms + further, zones, stuck, tail)
 
 
@@ -352,7 +322,7 @@ def _any_motion(o: Constants) -> Linearisation:
     return lin
 
 
-def line_search(cycle: Cycle, commands: Array, X: Array, U: Array) -> tuple[float, bool]:
+def line_search(cycle: Cycle, commands: Array, X: Array, U: Array) -> float:
     """Find the largest step from the nominal trajectory towards the QP's commands that does not raise the cost.
 
     The QP knows the motion to first order only, so a full step can cost more than none. The solver meets box and slew
@@ -366,19 +336,16 @@ def line_search(cycle: Cycle, commands: Array, X: Array, U: Array) -> tuple[floa
 
     Returns
     -------
-    The fraction of the step taken, and True if the whole step comes too near to a zone, where the nominal trajectory
-    does not. The fraction is 0 if no step qualifies, and X and U are then the nominal trajectory.
+    The fraction of the step taken; 0 if no step qualifies, and X and U are then the nominal trajectory.
     """
-    lin, before, enters = cycle.lin, cycle.score, False
+    lin, before = cycle.lin, cycle.score
     for part in STEPS:
         ramp_to(cycle.constants, cycle.start, lin.U + part * (commands - lin.U), lin.C, X, U)
         after = _score(cycle, X, U)
-        if part == STEPS[0]:
-            enters = after.fence > before.fence == 0.0
         if after.cost + after.fence <= before.cost + before.fence:
             if after.stuck and not before.stuck and after.fence >= before.fence:
                 break  # within the horizon it costs less not to turn; but a way out of a zone is taken
             cycle.score = after
-            return part, enters
+            return part
     X[...], U[...] = lin.X, lin.U
-    return 0.0, enters
+    return 0.0

@@ -165,6 +165,7 @@ class Supervision:
             status=status,
             why=why,
             restarts=self.reinitialisation.count,
+            water_walk_mps_per_rts=walk,
             sensors=sensors,
             innovations=self._samples.take(),
         )

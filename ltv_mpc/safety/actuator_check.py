@@ -10,12 +10,11 @@ contradiction ends only after a time of agreement.
 
 from __future__ import annotations
 
-from collections import deque
-
 from ltv_mpc.conversion import exact
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Applied, Array, Health, Plan, Triple
-from ltv_mpc.safety.health import NOMINAL, HealthState, plan_end_ns
+from ltv_mpc.safety.health import NOMINAL, HealthState
+from ltv_mpc.safety.plan_queue import PlanQueue
 from ltv_mpc.vehicle.parameters import Vehicle
 
 CONTRADICTED_NS = 1_000_000_000
@@ -34,9 +33,6 @@ Actuators at rest are farther than that from a plan that begins with them, befor
 
 CATCH_UP_SHARE = 0.8
 """Share of the slew limit from which a command approaches a plan that came late."""
-
-KEPT_NS = 10_000_000_000
-"""Age up to which plans are kept: reports may be delayed by it."""
 
 BEYOND = 3.0
 """Largest thrust that is believed, over that of the file's strongest thruster."""
@@ -68,8 +64,8 @@ class ActuatorCheck:
         self._most_N = BEYOND * max(max(-t.min_N, t.max_N) for t in vehicle.thrusters)
         self._slew_N_per_s = [t.slew_N_per_s for t in thrusters]
         self._last: tuple[int, Triple] = 0, (0.0, 0.0, 0.0)  # time and commands of the last report
-        self._period_ns, self._timeout_s = period_ns, vehicle.plan_timeout_s
-        self._plans: deque[Plan] = deque()  # by their start
+        self._period_ns = period_ns
+        self._plans = PlanQueue(vehicle.plan_timeout_s)  # that were sent
         self._since_ns: int | None = None  # first report of a contradiction
         self._until_ns = 0  # its last report
         self._agreed_ns = 0  # last report that agreed
@@ -98,12 +94,7 @@ class ActuatorCheck:
         ----------
         plan : is in force from its first knot on.
         """
-        plans, start_ns = self._plans, plan.t_ns[0]
-        while plans and plans[-1].t_ns[0] >= start_ns:
-            plans.pop()
-        plans.append(plan)
-        while len(plans) > 1 and plans[1].t_ns[0] < start_ns - KEPT_NS:
-            plans.popleft()
+        self._plans.add(plan, plan.cycle_t_ns)
 
     def usable(self, applied: Applied) -> Applied | None:
         """Return a report whose numbers have their types and are thrusts; else None, and the health says so.
@@ -168,17 +159,15 @@ class ActuatorCheck:
     def _in_force(self, applied: Applied) -> list[Plan]:
         """Return the plans that may be in force at a report, the newest first; none if that is not known."""
         t_ns, recent = applied.t_ns, []
-        for plan in reversed(self._plans):
-            if plan.t_ns[0] <= t_ns:
-                recent.append(plan)
-                if plan.t_ns[0] <= t_ns - LATE_NS:
-                    break
-        named = applied.plan_sequence >= 0 and any(p.cycle_t_ns == applied.plan_cycle_t_ns for p in self._plans)
+        for plan in self._plans.begun(t_ns):
+            recent.append(plan)
+            if plan.t_ns[0] <= t_ns - LATE_NS:
+                break
+        named = applied.plan_sequence >= 0 and self._plans.holds(applied.plan_cycle_t_ns)
         accepted = [plan for plan in recent if named and plan.cycle_t_ns <= applied.plan_cycle_t_ns][:1]
         if not accepted and recent and recent[-1].t_ns[0] > t_ns - LATE_NS:
             return []  # another controller's plan, which is not known, may be in force
-        ends = self._period_ns, self._timeout_s
-        return [plan for plan in accepted or recent if plan_end_ns(plan.t_ns, *ends) >= t_ns]
+        return [plan for plan in accepted or recent if self._plans.end_ns(plan) >= t_ns]
 
     def _agrees(self, missing_N: list[float], changes: list[float]) -> bool:
         """Return True if each command is that of a plan, or approaches it.

@@ -147,22 +147,6 @@ def report_health(*, silent_ns: int | None, period_ns: int, ages: Ages = DEFAULT
     return HealthState(Health.DEGRADED, SILENT_ACTUATORS)
 
 
-def plan_health(*, silent_ns: int | None, period_ns: int, left_ns: int) -> Health:
-    """Return the health of the actuators by the plans they accept.
-
-    Parameters
-    ----------
-    silent_ns : time since the last accepted plan (ns); None before the first.
-    period_ns : period of the plans (ns); 0 if unknown.
-    left_ns : time to the end of the newest plan, as ``plan_end_ns`` gives it (ns); negative after it.
-    """
-    if silent_ns is None:
-        return Health.DEGRADED
-    if left_ns < 0:
-        return Health.FAILSAFE
-    return Health.NOMINAL if silent_ns <= plan_timeout_ns(period_ns) else Health.DEGRADED
-
-
 def plan_timeout_ns(period_ns: int) -> int:
     """Return the time (ns) after its last plan for which a commander counts as present."""
     return max(round(REPLACEMENTS_MISSING * period_ns), MIN_PLAN_TIMEOUT_NS)

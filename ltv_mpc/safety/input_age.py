@@ -14,7 +14,6 @@ rate     at most half of the recent messages are missing, by the median spacing 
 from __future__ import annotations
 
 from collections import deque
-from typing import Generic, TypeVar
 
 from ltv_mpc.messages import InputReport
 from ltv_mpc.node import ReceivedMessage
@@ -22,11 +21,6 @@ from ltv_mpc.safety.health import DEFAULT_AGES, DEGRADED_PERIODS, MAX_STAMP_AHEA
 
 SPACINGS = 9
 """Number of spacings in the median, so that a lost message or a burst does not change the period."""
-
-CONTESTED_NS = 1_500_000_000
-"""Time for which a second source is reported after both have published."""
-
-T = TypeVar("T")
 
 
 class InputAge:
@@ -75,51 +69,11 @@ class InputAge:
         return None if self.stamp_ns is None else t_ns - self.arrived_ns
 
 
-class Contest(Generic[T]):
-    """Second source of an input, which is reported while both publish."""
-
-    def __init__(self) -> None:
-        self._second: T | None = None
-        self._unanswered = False  # nothing was accepted since
-        self._at_ns: int | None = None  # last time at which both published
-
-    def reject(self, second: T) -> None:
-        """Note a message of a second source.
-
-        Parameters
-        ----------
-        second : what identifies the source.
-        """
-        self._second, self._unanswered = second, True
-
-    def accept(self, t_ns: int) -> None:
-        """Note a message of the source in use.
-
-        Parameters
-        ----------
-        t_ns : its arrival (ns).
-        """
-        if self._unanswered:
-            self._unanswered, self._at_ns = False, t_ns
-
-    def second(self, t_ns: int) -> T | None:
-        """Return the second source if it publishes beside the one in use.
-
-        Parameters
-        ----------
-        t_ns : current time (ns).
-        """
-        return self._second if self._at_ns is not None and t_ns - self._at_ns <= CONTESTED_NS else None
-
-
 MAX_MEAN_OVER_MEDIAN = 2.0
 """Ratio of mean to median spacing above which ``rate`` is false: more than half of the messages are missing."""
 
 CLOCK_SET_BACK_NS = 10_000_000_000
 """Step backwards between two stamps from which the sender's clock counts as set back."""
-
-SECOND_SOURCE = "second source"
-"""Begin of the reason for which message validation rejects a frame of a second source."""
 
 
 class InputMonitor:
@@ -133,20 +87,8 @@ class InputMonitor:
         """Number of messages rejected: out of order, or stamped too far ahead of their arrival."""
         self.age = InputAge()
         """Age of the newest message."""
-        self.contest: Contest[str] = Contest()
-        """Second source, by the reason of its rejection."""
         self._epoch: int | None = None
         self._sequence = -1
-
-    def reject(self, why: str) -> None:
-        """Note a message that validation has rejected before it came here; only those of a second source count.
-
-        Parameters
-        ----------
-        why : reason of the rejection.
-        """
-        if why.startswith(SECOND_SOURCE):
-            self.contest.reject(why)
 
     def accepts(self, received: ReceivedMessage, stamp_ns: int) -> bool:
         """Return True if an entry of an inbox is accepted as the newest one: ``receive``.
@@ -184,7 +126,6 @@ class InputMonitor:
             self.age = InputAge()
         self.age.add(stamp_ns, received_ns)
         self._epoch, self._sequence = epoch, sequence
-        self.contest.accept(received_ns)
         return True
 
     def restart(self) -> None:

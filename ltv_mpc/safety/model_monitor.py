@@ -88,12 +88,6 @@ MAX_INTERVAL_S = 1.0
 
 PUBLICATION_PERIOD_NS = 1_000_000_000
 
-SETTLING_TIME_S, SETTLING_MPS = 5.0, 8e-3
-"""Settling of the filter. While the last satellite fixes and the first pings are reconciled, the estimated velocity
-changes by ``SETTLING_MPS`` between two estimates, more than its variance shows. For the first ``SETTLING_TIME_S`` of
-thrust this is added to the surge noise. The yaw rate has no such error.
-"""
-
 
 class _Motion(NamedTuple):
     """Motion of one estimate, and the impulses of all reports up to its time."""
@@ -116,16 +110,15 @@ class _Motion(NamedTuple):
 
 
 class ModelMonitor:
-    """Detector of lost thrust from the motion of one vehicle.
+    """Detector of lost thrust from the motion of one vehicle."""
 
-    Parameters
-    ----------
-    vehicle : parameters of the vehicle.
-    settling_s : time of thrust (s) for which ``SETTLING_MPS`` is added to this noise.
-    """
+    def __init__(self, vehicle: Vehicle) -> None:
+        """Begin without a report and an estimate.
 
-    def __init__(self, vehicle: Vehicle, settling_s: float = SETTLING_TIME_S) -> None:
-        self._settling_s = settling_s
+        Parameters
+        ----------
+        vehicle : parameters of the vehicle.
+        """
         self._p = vehicle.coefficients()
         # M_x^2 q^2; None: the vehicle is not identified, so the surge row does not count
         self._noise = (self._p.mass_surge * NOISE_MPS) ** 2 if vehicle.identified else None
@@ -151,18 +144,17 @@ class ModelMonitor:
 
     @property
     def products(self) -> Array | None:
-        """Behaviour of the vehicle so far, (6, 6) (``thrust_loss_detector.accumulate``), a copy; None if unknown."""
+        """Behaviour of the vehicle so far, (6, 6) (``thrust_loss_detector.py``), a copy; None if unknown."""
         return self._detector.products
 
     def restore(self, products: Array) -> None:
-        """Continue from the ``products`` (6, 6) of another monitor of this vehicle, after the filter has settled.
+        """Continue from the ``products`` (6, 6) of another monitor of this vehicle.
 
         Parameters
         ----------
         products : (6, 6) products of the other monitor.
         """
         self._detector.restore(products)
-        self._settling_s = 0.0
 
     def restart(self) -> None:
         """Begin with another source of estimates: its motion is not compared with that of the last one."""
@@ -279,7 +271,8 @@ class ModelMonitor:
         unmodelled = 0.0
         if self._noise is not None:
             if b.learned_sd is None:
-                s_x = 1.0 / math.sqrt(self._surge_noise(self._noise, a, b, dt, thrusting=bool(i1 or i2)))
+                of_estimates = p.mass_surge**2 * velocity_change_variance(a.variance[0], b.variance[0], dt)
+                s_x = 1.0 / math.sqrt(self._noise + of_estimates)
             fresh = 1.0 if b.variance[1] > NOISE_RADPS * NOISE_RADPS else 0.0
         else:
             current_sd = GIVEN_CURRENT_SD_MPS if b.learned_sd is None else b.learned_sd
@@ -302,14 +295,6 @@ class ModelMonitor:
             (0.0, lift * s_n),
             (0.0, fresh),
         )
-
-    def _surge_noise(self, noise: float, a: _Motion, b: _Motion, dt: float, *, thrusting: bool) -> float:
-        """Return the variance of e_x (N^2 s^2) from ``a`` to ``b``, dt seconds later; ``noise``: M_x^2 q^2."""
-        mass = self._p.mass_surge
-        if self._settling_s > 0.0:
-            self._settling_s -= dt if thrusting else 0.0
-            noise += (mass * SETTLING_MPS) ** 2
-        return noise + mass * mass * velocity_change_variance(a.variance[0], b.variance[0], dt)
 
     def _message(self, t_ns: int) -> ModelCheck:
         force, moment, seconds = self._missing[1].tolist()

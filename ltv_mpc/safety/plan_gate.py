@@ -12,22 +12,21 @@ has ended before it arrives: with wrong stamps it would otherwise stop a vehicle
 
 One commander at a time. A commander is identified by its epoch, which each start of a controller draws at random.
 While plans of one commander keep coming, those of all others are rejected. A new commander is accepted once two planned
-replacements of the plan in force are missing (``health.plan_health``: 2.5 periods, at least 0.5 s), or the plan is at
-its end. So a restarted controller takes over with its first plan, and two controllers that send at once do not
+replacements of the plan in force are missing (``PlanQueue.health``: 2.5 periods, at least 0.5 s), or the plan is at its
+end. So a restarted controller takes over with its first plan, and two controllers that send at once do not
 alternate.
 """
 
 from __future__ import annotations
 
 import enum
-from typing import NamedTuple
 
 import numpy as np
 
 from ltv_mpc.bounded import remember
 from ltv_mpc.messages import Health, Plan, Triple
-from ltv_mpc.safety.health import plan_end_ns, plan_health
 from ltv_mpc.safety.input_age import InputAge
+from ltv_mpc.safety.plan_queue import PlanQueue
 from ltv_mpc.vehicle.parameters import Vehicle
 
 TOLERANCE_N = 1e-6
@@ -46,32 +45,20 @@ class PlanVerdict(enum.StrEnum):
     OUTSIDE_SLEW = "outside_slew"
 
 
-class _Accepted(NamedTuple):
-    """Accepted plan."""
-
-    start_ns: int
-    end_ns: int
-    plan: Plan
-
-
-class PlanGate:
+class PlanGate(PlanQueue):
     """Checks plans and computes the commands of the thrusters.
 
     Time only increases. It starts with the first command, which is zero.
     """
 
     def __init__(self, vehicle: Vehicle) -> None:
+        super().__init__(vehicle.plan_timeout_s)
         self._limits = [(t.min_N, t.max_N, t.slew_N_per_s) for t in vehicle.thrusters]
         self._rest = 0.0, 0.0, vehicle.failsafe_vertical_N
-        self._timeout_s = vehicle.plan_timeout_s
         self._commander: int | None = None  # epoch of the controller whose plans are followed
-        self._age = InputAge()  # of its plans, by the start of the cycle
         self._last_sequence: dict[int, int] = {}  # accepted, by epoch: an old frame is not followed again
-        self._plans: list[_Accepted] = []  # the plan in force and those not started, by start time
         self._t_ns: int | None = None
         self._command = 0.0, 0.0, 0.0
-        self.plans_late = 0
-        """Number of plans accepted after their start time."""
         self.plans_rejected = 0
         """Number of plans rejected."""
 
@@ -91,36 +78,15 @@ class PlanGate:
         if epoch != self._commander:
             self._commander, self._age = epoch, InputAge()
         remember(self._last_sequence, epoch, sequence)
-        self._age.add(plan.cycle_t_ns, t_ns)
-        start_ns = int(plan.t_ns[0])
-        # replaces the plans that would start with it or after it; one that starts before stays in force until then
-        self._plans = [p for p in self._plans if p.start_ns < start_ns] + [
-            _Accepted(start_ns, self._end_ns(plan), plan)
-        ]
-        if t_ns > start_ns:
-            self.plans_late += 1
-            return PlanVerdict.LATE
-        return PlanVerdict.ACCEPTED
-
-    def health(self, t_ns: int) -> Health:
-        """Return the timeliness of the plans at ``t_ns``.
-
-        Parameters
-        ----------
-        t_ns : current time (ns).
-        """
-        left_ns = self._plans[-1].end_ns - t_ns if self._plans else -1
-        return plan_health(silent_ns=self._age.silent_ns(t_ns), period_ns=self._age.median_ns, left_ns=left_ns)
-
-    def _end_ns(self, plan: Plan) -> int:
-        return plan_end_ns(plan.t_ns, self._age.median_ns, self._timeout_s)
+        self.add(plan, t_ns, (epoch, sequence))
+        return PlanVerdict.LATE if self.is_late else PlanVerdict.ACCEPTED
 
     def _check(self, plan: Plan, epoch: int, sequence: int, t_ns: int) -> PlanVerdict:
         if sequence <= self._last_sequence.get(epoch, -1):
             return PlanVerdict.OUT_OF_ORDER
         if self._commander not in (None, epoch) and self.health(t_ns) is Health.NOMINAL:
             return PlanVerdict.SECOND_COMMANDER
-        if self._end_ns(plan) < t_ns:
+        if self.end_ns(plan) < t_ns:
             return PlanVerdict.ENDED
         thrust, seconds = plan.thrust_N, (plan.t_ns[1:] - plan.t_ns[:-1]) * 1e-9
         low, high, slew = np.array(self._limits).T
@@ -143,14 +109,12 @@ class PlanGate:
         ValueError
             If the time is before the last requested one.
         """
-        last_ns, plans = t_ns if self._t_ns is None else self._t_ns, self._plans
+        last_ns = t_ns if self._t_ns is None else self._t_ns
         if t_ns < last_ns:
             raise ValueError(f"t_ns = {t_ns} is before {last_ns}, the time of the last command")
-        while len(plans) > 1 and plans[1].start_ns <= t_ns:
-            del plans[0]
         targets: Triple | list[float] = (0.0, 0.0, 0.0)  # no plan has started yet
-        if plans and plans[0].start_ns <= t_ns:
-            targets = plans[0].plan.thrust_at(t_ns).tolist() if t_ns <= plans[0].end_ns else self._rest
+        if (plan := next(self.begun(t_ns), None)) is not None:
+            targets = plan.thrust_at(t_ns).tolist() if t_ns <= self.end_ns(plan) else self._rest
         seconds = (t_ns - last_ns) * 1e-9
         port, starboard, vertical = (
             y + min(max(min(max(target, low), high) - y, -slew * seconds), slew * seconds)

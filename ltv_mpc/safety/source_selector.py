@@ -25,7 +25,7 @@ from typing import NamedTuple
 
 from ltv_mpc.bounded import remember
 from ltv_mpc.safety.health import DEGRADED_PERIODS
-from ltv_mpc.safety.input_age import Contest, InputAge
+from ltv_mpc.safety.input_age import InputAge
 
 MIN_SILENCE_NS, MAX_SILENCE_NS = 500_000_000, 1_500_000_000
 """Bounds of the silence after which the active source may be replaced."""
@@ -38,6 +38,9 @@ RUN_MESSAGES, RUN_NS = 5, 500_000_000
 
 RETURN_NS = 5_000_000_000
 """Duration of the run after which a source of higher order takes over from one that is not silent."""
+
+CONTESTED_NS = 1_500_000_000
+"""Time for which a second source is reported after both have published."""
 
 MAX_GAP_NS = 10_000_000_000
 """Gap after which a run begins again. It also does if the time is set back."""
@@ -109,13 +112,14 @@ class SourceSelector:
         """Source whose messages are used; None before the first believed message."""
         self.rejected = 0
         """Number of messages of other sources that have the active one's name."""
-        self.contest: Contest[Source] = Contest()
-        """Source of these, while both publish."""
         self.forced = ""
         """Name that an operator has put before all others; empty if none."""
         self._order = {name: place for place, name in enumerate(order)}
         self._age = InputAge()  # of the believed messages of the active source, by their arrival
         self._candidates: dict[Source, tuple[_Run, _Run]] = {}  # consistent messages, and those that agree besides
+        self._second: Source | None = None  # of the active one's name
+        self._unanswered = False  # nothing of the active source was believed since the last message of the second one
+        self._contested_ns: int | None = None  # last time at which both published
         self._heard_ns: dict[str, int] = {}  # last believed message by name
 
     def believe(self, source: Source, t_ns: int) -> None:
@@ -126,9 +130,11 @@ class SourceSelector:
         source, t_ns : source and time of arrival (ns) of the message.
         """
         if source != self.active:
-            self.active, self._age, self.contest = source, InputAge(), Contest()
+            self.active, self._age = source, InputAge()
+            self._unanswered, self._contested_ns = False, None
             self._candidates.pop(source, None)
-        self.contest.accept(t_ns)
+        if self._unanswered:
+            self._unanswered, self._contested_ns = False, t_ns
         self._age.add(t_ns)
         remember(self._heard_ns, source.name, t_ns)
 
@@ -153,8 +159,18 @@ class SourceSelector:
         remember(self._candidates, source, candidate)
         if source.name == self.active.name:
             self.rejected += 1
-            self.contest.reject(source)
+            self._second, self._unanswered = source, True
         return False
+
+    def second(self, t_ns: int) -> Source | None:
+        """Return the second source of the active one's name, if both publish.
+
+        Parameters
+        ----------
+        t_ns : current time (ns).
+        """
+        recently = self._contested_ns is not None and t_ns - self._contested_ns <= CONTESTED_NS
+        return self._second if recently else None
 
     def force(self, name: str, t_ns: int) -> str:
         """Put a name before all others; its source takes over. Return why this is rejected; empty if it is not.

@@ -9,21 +9,20 @@ their noise e:
     phi_3          regressor of the drag
     phi_4, phi_5   regressors of moments that the model may not contain; zero if the vehicle is identified
 
-The unknowns l_1 = c + s, l_2 = c - s and b are the constant mismatch between vehicle and model. If mass, drag and
-thrust are each off by at most 10 %, and the two thrusters differ by at most ``THRUSTER_DIFFERENCE``, they are, in units
-of the true mass,
+The unknowns l_1 = c + s, l_2 = c - s and b are the constant mismatch between vehicle and model. To first order, with
+the relative errors m of the mass, t of the thrust and q of the drag, they are
 
-    c = 1 - (1 -+ 0.1) / (1 + m),   b = (1 +- 0.1) / (1 + m) - 1,   |m| <= 0.1                  (at most c = 0.18)
+    c = m - t,   b = q - m
 
-A loss adds d_1, d_2 >= 0 to l_1, l_2 from some cycle among the last thirty on. The cycles before that cycle also inform
-x = [c, s, b, g_1, g_2]. They count with a reduced weight, because their noise is not quite white:
+A loss adds d_1, d_2 from 0 to 1 to l_1, l_2 from some cycle among the last thirty on. The cycles before that cycle also
+inform x = [c, s, b, g_1, g_2]. They count with a reduced weight, because their noise is not quite white:
 
     f(x, d) = |z - phi' (l + d, b, g)|^2 over the window + PAST_WEIGHT |z - phi' (l, b, g)|^2 over the cycles before
-              + |(x, d)|^2 / PRIOR_SD^2
+              + x' P^-1 x + |d|^2 / PRIOR_SD^2
     evidence = max over windows of (min over x of f(x, 0) - min over x, d of f(x, d)) / 2       nats
 
-This is a generalised likelihood ratio for a change. At first only the bounds of x are known; a few seconds of thrust
-inform more than these bounds (docs/thrusters.md). The likelihood ratio of single cycles shows a recovery.
+This is a generalised likelihood ratio for a change, with the prior covariance P of the mismatch. A few seconds of
+thrust inform more than P (docs/thrusters.md). The likelihood ratio of single cycles shows a recovery.
 Source  Willsky & Jones 1976, IEEE T-AC 21(1) (the test); here the unknowns are two losses d and five mismatches x.
 """
 
@@ -33,17 +32,16 @@ from typing import TypeAlias
 
 import numpy as np
 
-from ltv_mpc.jit import jit_outlined
 from ltv_mpc.messages import Array, Pair
 
-MISMATCH = 0.1
-"""Largest relative error of mass, drag and thrust, in either direction, that raises no alarm."""
+MISMATCH_SD = 0.05
+"""Prior standard deviation of the relative errors of mass, drag and thrust: errors of 10 % raise no alarm."""
 
-THRUSTER_DIFFERENCE = 0.05
-"""Largest difference of the relative thrust errors of port and starboard: both thrusters are of one make."""
+MIN_LOSS = 0.1
+"""Smallest share that counts as lost. The model's error is as large, and it seems to change with the current's."""
 
-DISCRETISATION_MARGIN = 0.005
-"""Addition to ``MISMATCH`` for the error of the trapezoidal integrals over dt."""
+DIFFERENCE_SD = 0.02
+"""Prior standard deviation of s, half of the difference of the thrust errors: both thrusters are of one make."""
 
 MAX_SIGMAS = 3.0
 """Bound on the missing impulse of one cycle, in standard deviations, beyond what mismatch explains."""
@@ -57,16 +55,8 @@ PAST_WEIGHT = 0.1
 MEMORY_CYCLES = 300.0
 """Cycles after which a past cycle counts by e^-1: a minute and a half at 0.3 s."""
 
-MAX_SWEEPS, MIN_GAIN = 500, 1e-4
-"""Coordinate descent: largest number of sweeps, and the decrease of f below which it stops. The problem is convex, but
-port, starboard and drag may be hard to distinguish. If the minimum without a loss is found too large, the error
-counts as evidence.
-"""
-
 PRIOR_SD = 0.5
-"""Prior standard deviation of each unknown, so that one that the motion does not show is zero. It costs at most two
-nats for each.
-"""
+"""Prior standard deviation of the losses and of g_1, g_2, so that one that the motion does not show is zero."""
 
 ONE_THRUSTER_NATS = 2.0
 """Evidence by which a loss of both thrusters must exceed that of one, to be taken as the more likely."""
@@ -83,21 +73,8 @@ rate is new in each estimate.
 """
 
 
-def _mismatch_bounds() -> tuple[Array, Array]:
-    """Return the lower and upper bounds (5, K) of c, s, b, g_1, g_2 for K masses."""
-    e = MISMATCH + DISCRETISATION_MARGIN
-    m = np.linspace(-e, e, 5)
-    low, high, one = (1.0 - e) / (1.0 + m), (1.0 + e) / (1.0 + m), np.ones_like(m)
-    difference = 0.5 * THRUSTER_DIFFERENCE * one
-    return np.stack([1.0 - high, -difference, low - 1.0, -one, -one]), np.stack(
-        [1.0 - low, difference, high - 1.0, one, one]
-    )
-
-
-LOWEST, HIGHEST = _mismatch_bounds()
-MIDDLE = LOWEST.shape[1] // 2
-_LARGEST = np.maximum(HIGHEST, -LOWEST).max(axis=1)
-_MAX_MISMATCH = np.array([_LARGEST[0] + _LARGEST[1], _LARGEST[0] + _LARGEST[1], *_LARGEST[2:]])  # of phi_1 .. phi_5
+_MAX_MISMATCH = np.array([0.205, 0.205, 0.222, 1.0, 1.0])
+"""Largest mismatch that is no outlier, in l_1, l_2, b, g_1, g_2: all of 10 %, and 5 % between the thrusters."""
 
 _MIX = np.array(
     [
@@ -149,22 +126,37 @@ class ThrustLossDetector:
         row : the cycle.
         learn : add the cycle that leaves the window to the products.
         """
-        rows = self._rows
-        if self._cycles == len(rows) and learn:
-            accumulate(self._past, rows[-1])
-        self._cycles = min(self._cycles + 1, len(rows))
-        rows[1 : self._cycles] = rows[: self._cycles - 1].copy()
+        if self._cycles == len(self._rows) and learn:
+            (y,) = _clipped(self._rows[-1:], 0.0)
+            self._past = (1.0 - 1.0 / MEMORY_CYCLES) * self._past + y @ y.T
+        self._cycles = min(self._cycles + 1, len(self._rows))
+        rows = self._rows[: self._cycles]
+        rows[1:] = rows[:-1].copy()
         rows[0] = row
-        return evaluate(rows[: self._cycles], self._past)
+        gains = losses(_quadratic_forms(rows, self._past, 0.0))[..., 0].max(axis=1)
+        evidence = 0.5 * float(gains.max(initial=0.0))
+        if not evidence > 0.0:
+            return 0.0, 0.0, 0.0
+        (found,) = losses(_quadratic_forms(rows, self._past, 1.0)[[gains.argmax()]])  # a large loss is not an outlier
+        found[2, 0] -= 2.0 * ONE_THRUSTER_NATS
+        _, port, starboard = found[found[:, 0].argmax()].tolist()
+        return (evidence, port, starboard) if max(port, starboard) >= MIN_LOSS else (0.0, 0.0, 0.0)
 
     def recovery_gain(self, loss: Pair) -> float:
-        """Return the log-likelihood ratio (nats) of the newest cycle, of no loss against a given one.
+        """Return the log-likelihood ratio of the newest cycle of no loss against a given one, in nats.
+
+        It is at most ``MAX_GAIN_NATS``. The mismatch is the most likely one of the cycles before the loss.
 
         Parameters
         ----------
         loss : lost shares of port and starboard.
         """
-        return recovery_gain(self._rows[0], self._past, np.array(loss))
+        (F,) = quadratic_form(self._past.reshape(1, -1), np.zeros((1, SIZE * SIZE)))
+        x = np.linalg.solve(F[1:6, 1:6], F[1:6, 0])
+        ((z, *phi),) = _clipped(self._rows[:1], 1.0)
+        residual = z - x @ _MIX[1:6, 1:] @ phi
+        gain = 0.5 * float(np.sum((residual - loss @ np.array(phi[:2])) ** 2 - residual**2))
+        return min(gain, MAX_GAIN_NATS)
 
 
 def _clipped(rows: Array, explained: float) -> Array:
@@ -180,25 +172,13 @@ def _clipped(rows: Array, explained: float) -> Array:
     return out
 
 
-def accumulate(past: Array, row: Array) -> None:
-    """Add a cycle that leaves the longest window to the products of z and the five phi, in place.
-
-    Parameters
-    ----------
-    past : (6, 6) products, which decay with ``MEMORY_CYCLES``.
-    row : (7, 2) row of the cycle, as in ``evaluate``.
-    """
-    (y,) = _clipped(row[None], 0.0)
-    past *= 1.0 - 1.0 / MEMORY_CYCLES
-    past += y @ y.T
-
-
 def _quadratic_forms(rows: Array, past: Array, explained: float) -> Array:
     """Return ``quadratic_form`` (W, 8, 8) of the windows that the cycles fill.
 
     Parameters
     ----------
-    rows, past : as in ``evaluate``.
+    rows : (n, 7, 2) cycles (``Row``), the newest first.
+    past : (6, 6) products of the cycles before.
     explained : as in ``_clipped``.
     """
     y = _clipped(rows, explained)
@@ -209,75 +189,33 @@ def _quadratic_forms(rows: Array, past: Array, explained: float) -> Array:
     return quadratic_form(within, past.ravel() + products.sum(axis=0) - within)
 
 
-def evaluate(rows: Array, past: Array) -> tuple[float, float, float]:
-    """Return the evidence (nats), and the most likely lost shares of the thrust of port and starboard.
-
-    Parameters
-    ----------
-    rows : (n, 7, 2) cycles (``Row``), the newest first.
-    past : (6, 6) products of the cycles before, by ``accumulate``.
-    """
-    forms = _quadratic_forms(rows, past, 0.0)
-    gains = 0.5 * (smallest(forms, 0.0, 0.0) - smallest(forms, 1.0, 1.0))[:, 0]
-    evidence = float(gains.max(initial=0.0))
-    if not evidence > 0.0:
-        return 0.0, 0.0, 0.0
-    best = int(gains.argmax())
-    F = _quadratic_forms(rows, past, 1.0)[best : best + 1]  # a large loss is not an outlier
-    found = np.concatenate([smallest(F, 1.0, 1.0), smallest(F, 1.0, 0.0), smallest(F, 0.0, 1.0)])
-    found[0, 0] += 2.0 * ONE_THRUSTER_NATS
-    _, port, starboard = found[found[:, 0].argmin()].tolist()
-    return evidence, port, starboard
-
-
-def recovery_gain(row: Array, past: Array, loss: Array) -> float:
-    """Return the log-likelihood ratio (nats) of no loss against a loss in one cycle, at most ``MAX_GAIN_NATS``.
-
-    The mismatch is the most likely one of the cycles before the loss.
-
-    Parameters
-    ----------
-    row : (7, 2) newest cycle.
-    past : (6, 6) products of the cycles before the loss.
-    loss : (2,) lost shares of port and starboard.
-    """
-    x, low, high = np.zeros((3, 7))
-    low[:5], high[:5] = LOWEST[:, MIDDLE], HIGHEST[:, MIDDLE]
-    constrained_minimum(quadratic_form(past.reshape(1, -1), np.zeros((1, SIZE * SIZE)))[0], low, high, x)
-    ((z, *phi),) = _clipped(row[None], 1.0)
-    residual = z - x[:5] @ _MIX[1:6, 1:] @ phi
-    gain = 0.5 * float(np.sum((residual - loss @ phi[:2]) ** 2 - residual**2))
-    return min(gain, MAX_GAIN_NATS)
-
-
-@jit_outlined
-def smallest(forms: Array, port_max: float, starboard_max: float) -> Array:
-    """Return for each form the minimum of f over x and over d within bounds, and there the lost shares d (W, 3).
+def losses(forms: Array) -> Array:
+    """Return how far a loss of port, of starboard and of both lowers the minimum of f, and the lost shares (W, 3, 3).
 
     Parameters
     ----------
     forms : (W, 8, 8) quadratic forms.
-    port_max, starboard_max : upper bounds of d; the lower bounds are zero.
     """
-    out = np.empty((len(forms), 3))
-    for w in range(len(forms)):
-        x, low, high = np.zeros(7), np.zeros(7), np.empty(7)
-        high[5], high[6] = port_max, starboard_max
-        out[w, 0] = np.inf
-        for k in range(LOWEST.shape[1]):
-            for i in range(5):
-                low[i], high[i] = LOWEST[i, k], HIGHEST[i, k]
-            f = constrained_minimum(forms[w], low, high, x)
-            if f < out[w, 0]:
-                out[w, 0], out[w, 1], out[w, 2] = f, x[5], x[6]
-    return out
+    known, mismatch = np.array([0, 6, 7]), np.arange(1, 6)
+    B = forms[:, mismatch][:, :, known]
+    # f = [1, -d]' S [1, -d] with the most likely mismatch
+    S = forms[:, known][:, :, known] - B.mT @ np.linalg.solve(forms[:, mismatch][:, :, mismatch], B)
+    slope, curvature = S[:, 0, 1:], S[:, 1:, 1:]
+    d = np.zeros((len(forms), 3, 2))
+    d[:, (0, 1), (0, 1)] = slope / np.diagonal(curvature, axis1=1, axis2=2)
+    d[:, 2] = np.linalg.solve(curvature, slope[..., None])[..., 0]
+    d = np.clip(d, 0.0, 1.0)
+    gains = 2.0 * np.einsum("wi,wki->wk", slope, d) - np.einsum("wki,wij,wkj->wk", d, curvature, d)
+    return np.concatenate([gains[..., None], d], axis=2)
 
 
 _WITHOUT_LOSS = _MIX * (np.arange(8.0) < 6.0)[:, None]
 _OF_WINDOW, _OF_PAST = np.kron(_MIX, _MIX).T, PAST_WEIGHT * np.kron(_WITHOUT_LOSS, _WITHOUT_LOSS).T
 """Coefficients of the entries of F in the products within a window, and before it, where d does not act."""
 
-_PRIOR = np.diag([0.0] + 7 * [1.0 / (PRIOR_SD * PRIOR_SD)])
+_PRIOR = np.zeros((8, 8))
+_PRIOR[1:, 1:] = np.diag([0.0, DIFFERENCE_SD**-2.0, 0.0, *[PRIOR_SD**-2.0] * 4])
+_PRIOR[1:4:2, 1:4:2] = np.linalg.inv(MISMATCH_SD**2 * np.array([[2.0, -1.0], [-1.0, 2.0]]))  # of c and b
 
 
 def quadratic_form(window: Array, past: Array) -> Array:
@@ -290,39 +228,6 @@ def quadratic_form(window: Array, past: Array) -> Array:
     """
     forms: Array = (window @ _OF_WINDOW + past @ _OF_PAST).reshape(-1, 8, 8) + _PRIOR
     return forms
-
-
-@jit_outlined
-def constrained_minimum(F: Array, low: Array, high: Array, x: Array) -> float:
-    """Return the minimum of f over low <= x <= high, by coordinate descent.
-
-    Parameters
-    ----------
-    F : (8, 8) quadratic form.
-    low, high : (7,) bounds of c, s, b, g_1, g_2, d_1, d_2.
-    x : (7,) start; overwritten with the minimiser.
-    """
-    for _ in range(MAX_SWEEPS):
-        gained = 0.0
-        for i in range(7):
-            if low[i] == high[i]:
-                x[i] = low[i]
-                continue
-            slope = F[0, 1 + i]
-            for j in range(7):
-                if j != i:
-                    slope -= F[1 + i, 1 + j] * x[j]
-            own = F[1 + i, 1 + i]
-            to = min(max(slope / own, low[i]), high[i])
-            gained, x[i] = gained + own * (to - x[i]) ** 2, to
-        if gained < MIN_GAIN:
-            break
-    f = F[0, 0]
-    for i in range(7):
-        f -= 2.0 * F[0, 1 + i] * x[i]
-        for j in range(7):
-            f += F[1 + i, 1 + j] * x[i] * x[j]
-    return float(f)
 
 
 def _whitening(n: int) -> Array:
@@ -347,10 +252,3 @@ def whitened(y: Array) -> Array:
     """
     n = len(y)
     return WHITENING[:n, :n] @ y
-
-
-def warm_up() -> None:
-    """Compile the kernels."""
-    forms = np.zeros((1, 8, 8)) + _PRIOR
-    smallest(forms, 1.0, 1.0)
-    constrained_minimum(forms[0], np.zeros(7), np.zeros(7), np.zeros(7))

@@ -1,7 +1,7 @@
 """Weak thruster: which lateral thruster delivers less than it reports, and the share that it still delivers.
 
 The thrust loss detector gives evidence, and the most likely lost share of each thruster. A loss belongs to one thruster
-if it explains the evidence as well as a loss of both (``thrust_loss_detector.evaluate``). The controller plans with the
+if it explains the evidence as well as a loss of both (``thrust_loss_detector.py``). The controller plans with the
 share that is left until the loss has ended, by a cumulative sum test (Page 1954) of the log-likelihood ratios of no
 loss against the loss in force. A thruster that is not used gives no evidence, and stays as it is.
 

@@ -6,6 +6,8 @@ checked separately. On all other keys one source publishes at a time.
 
 from __future__ import annotations
 
+import base64
+
 from ltv_mpc.messages import Estimate, Message, Plan, RejectedFrame
 from ltv_mpc.validation import ReasonCounts
 from services.bus.mailbox import Frame
@@ -13,6 +15,9 @@ from services.bus.rate_limit import RateLimit
 from services.bus.sequence_check import SequenceCheck, silence_us
 from services.bus.topics import OPERATOR, Topic
 from services.bus.wire import Header, WireError, crc, message_at, unpack
+
+MAX_SHOWN_BYTES = 3072
+"""Largest part of a rejected payload that is reported; 4 KiB as base64."""
 
 SHARED: frozenset[type[Message]] = frozenset({Plan, Estimate})
 """Types whose reader chooses among several sources: the actuators' gate, and the controller."""
@@ -80,4 +85,5 @@ def rejection(frame: Frame, reason: str, *, node: str, t_ns: int) -> RejectedFra
         key=frame.key,
         reason=reason,
         crc=crc(frame.payload),
+        payload_base64=base64.b64encode(frame.payload[:MAX_SHOWN_BYTES]).decode(),
     )

@@ -15,8 +15,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from ltv_mpc.bounded import remember
-from ltv_mpc.safety.input_age import SECOND_SOURCE
 from services.bus.wire import Header, WireError
+
+SECOND_SOURCE = "second source"
+"""Begin of the reason for which a frame of a second source is rejected."""
 
 MAX_SKIPPED = 20
 """Largest number of sequence numbers that one frame may skip. A longer gap costs one frame more; a damaged sequence

@@ -1,11 +1,10 @@
-"""Table of topics: message type, key, period, delivery, writer and readers.
+"""Table of topics: message type, key, period, writer and readers.
 
-Keys, quality of service, documentation and the channels of a recording all come from this table.
+Keys, documentation and the channels of a recording all come from this table.
 """
 
 from __future__ import annotations
 
-import enum
 import re
 from functools import lru_cache
 
@@ -14,16 +13,6 @@ import msgspec
 from ltv_mpc import messages
 from ltv_mpc.messages import ControllerState, Estimate, EstimatorState, Message
 from ltv_mpc.node import DEFAULT_SOURCE
-
-
-class Delivery(enum.StrEnum):
-    """Requirement of the readers of a key."""
-
-    EVERY = "every"  # every sample counts: a queue that is always drained, losses are counted
-    LATEST = "latest"  # only the newest value: a ring of one
-
-
-EVERY, LATEST = Delivery.EVERY, Delivery.LATEST
 
 OPERATOR = "operator"
 """Writer of commands: `ltv-mpc ctl`, a pilot's program and, in a simulation, the plant, which arms."""
@@ -43,51 +32,49 @@ class Topic(msgspec.Struct, frozen=True):
     message_type: type[Message]
     key: str
     period_ns: int
-    delivery: Delivery
     written_by: str
     read_by: tuple[str, ...]
 
 
 TOPICS = (
-    #     message type                 key                    period_ns       delivery  written by    read by
-    Topic(messages.Truth,              "world/truth",             10_000_000, EVERY,    "plant",      ("sensors",)),
-    Topic(messages.Disturbance,        "world/disturbance",                0, EVERY,    OPERATOR,     ("plant",)),
-    Topic(messages.Applied,            "applied",                100_000_000, EVERY,    "plant",      ("controller",)),
-    Topic(messages.ImuSamples,         "sensor/imu",              50_000_000, EVERY,    "sensors",    ("estimator",)),
-    Topic(messages.GnssFix,            "sensor/gnss",          1_000_000_000, EVERY,    "sensors",    ("estimator",)),
-    Topic(messages.TdcpFix,            "sensor/tdcp",          1_000_000_000, EVERY,    "sensors",    ("estimator",)),
-    Topic(messages.AdcpPing,           "sensor/adcp",            333_333_333, EVERY,    "sensors",    ("estimator",)),
-    Topic(messages.PressureDepth,      "sensor/depth",           100_000_000, EVERY,    "sensors",    ("estimator",)),
-    Topic(messages.CompassHeading,     "sensor/compass",       1_000_000_000, EVERY,    "sensors",    ("estimator",)),
-    Topic(messages.BottomTrack,        "sensor/bottom_track",    333_333_333, EVERY,    "sensors",    ("estimator",)),
-    Topic(messages.LblRange,           "sensor/lbl",          10_000_000_000, EVERY,    "sensors",    ("estimator",)),
-    Topic(messages.UsblFix,            "sensor/usbl",          2_000_000_000, EVERY,    "sensors",    ("estimator",)),
-    Topic(messages.LocalisationReport, "localisation",         1_000_000_000, EVERY,    "estimator",  ()),
-    Topic(messages.Estimate,           "estimate",               100_000_000, EVERY,    "estimator",  ("controller",)),
-    Topic(messages.Plan,               "plan",                   300_000_000, EVERY,    "controller", ("plant",)),
-    Topic(messages.Command,            "command",                          0, EVERY,    OPERATOR,     ("controller",)),
-    Topic(messages.Manual,             "manual",                 100_000_000, LATEST,   OPERATOR,     ("controller",)),
-    Topic(messages.Heartbeat,          "heartbeat",            1_000_000_000, LATEST,   OPERATOR,     ("controller",)),
-    Topic(messages.Battery,            "battery",              1_000_000_000, EVERY,    "battery",    ("controller",)),
-    Topic(messages.Leak,               "leak",                 1_000_000_000, EVERY,    "leak",       ("controller",)),
-    Topic(messages.Obstacles,          "obstacles",                        0, EVERY,    OPERATOR,     ("controller",)),
-    Topic(messages.Acknowledgement,    "acknowledged",                     0, EVERY,    "controller", (OPERATOR,)),
-    Topic(messages.ControllerStatus,   "controller/status",    1_000_000_000, LATEST,   "controller", (OPERATOR,)),
-    Topic(messages.FenceInForce,       "fence",               10_000_000_000, EVERY,    "controller", (OPERATOR,)),
-    Topic(messages.ModelCheck,         "model",                1_000_000_000, EVERY,    "controller", (OPERATOR,)),
-    Topic(messages.CycleTiming,        "timing",                 300_000_000, EVERY,    "controller", ("controller",)),
-    Topic(messages.ClockStep,          "clock/step",                       0, EVERY,    "controller", ("controller",)),
-    Topic(messages.ControllerState,    "state/controller",     5_000_000_000, EVERY,    "controller", ("supervisor",)),
-    Topic(messages.EstimatorState,     "state/estimator",      5_000_000_000, EVERY,    "estimator",  ("supervisor",)),
-    Topic(messages.Clock,              "clock",                            0, EVERY,    "plant",      ("*",)),
-    Topic(messages.ClockCommand,       "clock/command",                    0, EVERY,    OPERATOR,     ("plant",)),
-    Topic(messages.Kill,               "world/kill",                       0, EVERY,    OPERATOR,     ("supervisor",)),
-    Topic(messages.NodeStatus,         "status",                           0, EVERY,    "*",
-          ("supervisor", "plant")),
-    Topic(messages.NodeSettings,       "settings",        10_000_000_000, EVERY,    "*",          ()),
-    Topic(messages.StepRecord,         "record",                           0, EVERY,    "*",          ()),
-    Topic(messages.RejectedFrame,      "rejected",                         0, EVERY,    "*",          ()),
-    Topic(messages.RunEvent,           "event",                            0, EVERY,    "*",          ("supervisor",)),
+    #     message type                 key                    period_ns       written by    read by
+    Topic(messages.Truth,              "world/truth",             10_000_000, "plant",      ("sensors",)),
+    Topic(messages.Disturbance,        "world/disturbance",                0, OPERATOR,     ("plant",)),
+    Topic(messages.Applied,            "applied",                100_000_000, "plant",      ("controller",)),
+    Topic(messages.ImuSamples,         "sensor/imu",              50_000_000, "sensors",    ("estimator",)),
+    Topic(messages.GnssFix,            "sensor/gnss",          1_000_000_000, "sensors",    ("estimator",)),
+    Topic(messages.TdcpFix,            "sensor/tdcp",          1_000_000_000, "sensors",    ("estimator",)),
+    Topic(messages.AdcpPing,           "sensor/adcp",            333_333_333, "sensors",    ("estimator",)),
+    Topic(messages.PressureDepth,      "sensor/depth",           100_000_000, "sensors",    ("estimator",)),
+    Topic(messages.CompassHeading,     "sensor/compass",       1_000_000_000, "sensors",    ("estimator",)),
+    Topic(messages.BottomTrack,        "sensor/bottom_track",    333_333_333, "sensors",    ("estimator",)),
+    Topic(messages.LblRange,           "sensor/lbl",          10_000_000_000, "sensors",    ("estimator",)),
+    Topic(messages.UsblFix,            "sensor/usbl",          2_000_000_000, "sensors",    ("estimator",)),
+    Topic(messages.LocalisationReport, "localisation",         1_000_000_000, "estimator",  ()),
+    Topic(messages.Estimate,           "estimate",               100_000_000, "estimator",  ("controller",)),
+    Topic(messages.Plan,               "plan",                   300_000_000, "controller", ("plant",)),
+    Topic(messages.Command,            "command",                          0, OPERATOR,     ("controller",)),
+    Topic(messages.Manual,             "manual",                 100_000_000, OPERATOR,     ("controller",)),
+    Topic(messages.Heartbeat,          "heartbeat",            1_000_000_000, OPERATOR,     ("controller",)),
+    Topic(messages.Battery,            "battery",              1_000_000_000, "battery",    ("controller",)),
+    Topic(messages.Leak,               "leak",                 1_000_000_000, "leak",       ("controller",)),
+    Topic(messages.Obstacles,          "obstacles",                        0, OPERATOR,     ("controller",)),
+    Topic(messages.Acknowledgement,    "acknowledged",                     0, "controller", (OPERATOR,)),
+    Topic(messages.ControllerStatus,   "controller/status",    1_000_000_000, "controller", (OPERATOR,)),
+    Topic(messages.FenceInForce,       "fence",               10_000_000_000, "controller", (OPERATOR,)),
+    Topic(messages.ModelCheck,         "model",                1_000_000_000, "controller", (OPERATOR,)),
+    Topic(messages.CycleTiming,        "timing",                 300_000_000, "controller", ("controller",)),
+    Topic(messages.ClockStep,          "clock/step",                       0, "controller", ("controller",)),
+    Topic(messages.ControllerState,    "state/controller",     5_000_000_000, "controller", ("supervisor",)),
+    Topic(messages.EstimatorState,     "state/estimator",      5_000_000_000, "estimator",  ("supervisor",)),
+    Topic(messages.Clock,              "clock",                            0, "plant",      ("*",)),
+    Topic(messages.ClockCommand,       "clock/command",                    0, OPERATOR,     ("plant",)),
+    Topic(messages.Kill,               "world/kill",                       0, OPERATOR,     ("supervisor",)),
+    Topic(messages.NodeStatus,         "status",                           0, "*",          ("supervisor", "plant")),
+    Topic(messages.NodeSettings,       "settings",        10_000_000_000, "*",          ()),
+    Topic(messages.StepRecord,         "record",                           0, "*",          ()),
+    Topic(messages.RejectedFrame,      "rejected",                         0, "*",          ()),
+    Topic(messages.RunEvent,           "event",                            0, "*",          ("supervisor",)),
 )  # fmt: skip
 
 BY_TYPE = {topic.message_type: topic for topic in TOPICS}

@@ -250,15 +250,14 @@ def _run_processes(
     from services.run.folder import REPORT
     from services.supervisor.supervisor import Supervisor
 
-    limits = [(thruster.min_N, thruster.max_N) for thruster in run_config.vehicle.thrusters]
-    screen = RunScreen(run_config.scenario.title, limits, files=run_config.files)
+    screen = RunScreen(run_config.scenario.title, run_config.vehicle, files=run_config.files)
     about = About(
         name=f"{run_config.scenario.title} · vehicle {run_config.vehicle.name}",
         report=str(folder.path / REPORT),
         again=_again(folder.path, folder),
     )
     config = Config(vehicle=str(folder.config("vehicle")), about=about, open_browser=open_browser, of_a_run=True)
-    sidecar = Sidecar(screen.say, folder.path / "logs", config, waits=not as_json)
+    sidecar = Sidecar(screen.say, folder.path / "logs", config)
     try:
         outcome = Supervisor(run_config, folder, screen, sidecar if page else None).run(certs)
         if outcome.summary is None:

@@ -29,7 +29,7 @@ from services.dashboard.access_guard import AccessGuard, Token
 from services.dashboard.bus_feed import BusFeed
 from services.dashboard.commands import SIMULATED, Button, ButtonReply, ButtonRequest
 from services.dashboard.config import About, View
-from services.dashboard.stream import MAX_READERS, Reader, Stream
+from services.dashboard.stream import MAX_READERS, PERIOD_S, Reader, Stream
 from services.reporting import static_files
 from services.reporting.plots import palette
 from services.reporting.plots.catalogue import PLOTS
@@ -48,7 +48,7 @@ Do = Callable[[ButtonRequest, int | None, float], ButtonReply]
 """Executes a command; called in a worker thread, because it waits for the reply."""
 
 OnView = Callable[[View], object]
-"""Is called with what browsers do with the page."""
+"""Is called with what browsers show."""
 
 REQUEST = msgspec.json.Decoder(ButtonRequest)
 TOKEN_S = 5.0
@@ -79,7 +79,6 @@ def make(
         task.cancel()
 
     async def page(_: Request) -> Response:
-        on_view(View.OPENED)
         return HTMLResponse(index)
 
     async def file(request: Request) -> Response:
@@ -115,12 +114,8 @@ class _Commands(NamedTuple):
     on_view: OnView
 
     def look_at_readers(self) -> None:
-        """Say so if no browser is there any more, or if each has the report."""
-        readers = self.stream.readers
-        if not readers:
-            self.on_view(View.CLOSED)
-        elif all(reader.has_report for reader in readers):
-            self.on_view(View.HAS_REPORT)
+        """Say whether a browser shows the page that does not have the report yet."""
+        self.on_view(View.DONE if all(reader.has_report for reader in self.stream.readers) else View.SHOWN)
 
 
 async def _live(socket: WebSocket, commands: _Commands, about: About) -> None:
@@ -130,9 +125,10 @@ async def _live(socket: WebSocket, commands: _Commands, about: About) -> None:
     reader = Reader()
     hello = {"kind": "hello", "about": about, "plots": PLOTS, "dark": palette.DARK}
     await socket.send_text(msgspec.json.encode(hello).decode())
-    work = [_send(socket, reader), _obey(socket, reader, commands)]
+    work = [_send(socket, reader, stream), _obey(socket, reader, commands)]
     if not stream.admit(reader):
         work.append(_await_token(socket, reader))
+    commands.look_at_readers()
     tasks = [asyncio.create_task(one) for one in work]
     try:
         await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
@@ -153,9 +149,11 @@ async def _await_token(socket: WebSocket, reader: Reader) -> None:
     await socket.close(1013, f"{MAX_READERS} pages are open already, which is the limit without the token")
 
 
-async def _send(socket: WebSocket, reader: Reader) -> None:
+async def _send(socket: WebSocket, reader: Reader, stream: Stream) -> None:
     while True:
-        await socket.send_text(await reader.get())
+        if reader in stream.readers:
+            await socket.send_text(stream.next_text(reader))
+        await asyncio.sleep(PERIOD_S)
 
 
 async def _obey(socket: WebSocket, reader: Reader, commands: _Commands) -> None:
@@ -164,7 +162,7 @@ async def _obey(socket: WebSocket, reader: Reader, commands: _Commands) -> None:
         while True:
             reply = await _reply(await socket.receive_text(), reader, commands)
             if reply is not None:
-                reader.send(msgspec.json.encode(reply).decode())
+                await socket.send_text(msgspec.json.encode(reply).decode())
 
 
 async def _reply(text: str, reader: Reader, commands: _Commands) -> ButtonReply | None:
@@ -180,10 +178,6 @@ async def _reply(text: str, reader: Reader, commands: _Commands) -> ButtonReply 
     if request.button is Button.HAS_REPORT:
         reader.has_report = True
         commands.look_at_readers()
-        return None
-    if request.button is Button.DRAWN:
-        if not reader.has_report:
-            commands.on_view(View.DRAWN)
         return None
     refused = ""
     moment = feed.status()

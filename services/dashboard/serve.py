@@ -28,7 +28,7 @@ from services.dashboard import page
 from services.dashboard.access_guard import LOOPBACK, Token, headers, hosts
 from services.dashboard.bus_feed import BusFeed
 from services.dashboard.commands import do
-from services.dashboard.config import Config, View
+from services.dashboard.config import Config
 from services.reporting.static_files import report_scripts
 from services.runtime.console import Console
 from services.runtime.serve import run_until_stopped
@@ -127,8 +127,8 @@ def _give_way() -> None:
 
 def _announce(url: str, config: Config) -> None:
     _write(url)
-    if config.open_browser and webbrowser.open(url) and config.of_a_run:
-        _write(View.OPENED)  # it soon will
+    if config.open_browser:
+        webbrowser.open(url)
 
 
 def _write(line: str) -> None:

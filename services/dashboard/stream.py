@@ -1,11 +1,10 @@
-"""Update stream of the live page: one text ten times a second, encoded once for all browsers.
+"""Update stream of the live page: to each browser, ten times a second, what is new since its last text.
 
-    whole   the complete state, for a browser that has just connected or has fallen behind
+    whole   the complete state, for a browser that has just connected or shows another run
     tick    the rows, event marks and status since the last text
 
 ``tables`` hold the newest state and are sent whole each time. ``rows`` are appended to the table of the same name, or
-replace it if ``replaced`` names it. A browser that falls ``MAX_BACKLOG`` texts behind loses them and receives a whole
-text when it reads again, so that a slow browser neither fills the memory nor delays the others.
+replace it if ``replaced`` names it. A slow browser gets fewer texts, each with more in it, and delays no other one.
 """
 
 from __future__ import annotations
@@ -13,8 +12,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections import deque
-from collections.abc import Mapping
-from typing import Any
 
 import msgspec
 
@@ -22,46 +19,37 @@ from services.dashboard.bus_feed import BusFeed
 from services.reporting.plots.table import Columns
 
 PERIOD_S = 0.1
-MAX_BACKLOG = 20
 MAX_READERS = 32
 """Largest number of readers without the token. Those with it have a place at any time."""
 
 MAX_WAITING = 100
 
 
-class Reader(asyncio.Queue[str]):
-    """Queue of texts for one browser."""
+class Reader:
+    """Browser: what it has received, and what it may do."""
 
     def __init__(self) -> None:
-        super().__init__(MAX_BACKLOG)
-        self.behind = True
-        """True if the next text must be the complete state."""
+        self.run = -1
+        """Number of the run of which it has data."""
+        self.sent: dict[str, tuple[int, int]] = {}
+        """Generation and number of rows that it has, by table."""
+        self.marks = 0
+        """Number of event marks that it has."""
         self.has_report = False
         """True once the browser has said so."""
         self.has_token = False
         """True once a command of the browser had the token."""
         self.evicted = asyncio.Event()
 
-    def send(self, text: str) -> None:
-        """Queue a text; if the queue is full, drop all texts and mark the browser as behind."""
-        if not self.full():
-            self.put_nowait(text)
-            return
-        self.behind = True
-        while not self.empty():
-            self.get_nowait()
-
 
 class Stream:
-    """Sender of the updates of a bus feed to all browsers."""
+    """Updates of a bus feed for all browsers."""
 
     def __init__(self, feed: BusFeed) -> None:
         self._feed = feed
         self.readers: set[Reader] = set()
         self._waiting: deque[Reader] = deque()
-        self._run = -1
-        self._sent: dict[str, tuple[int, int]] = {}  # by table: generation, rows
-        self._marks = 0
+        self._current: dict[str, msgspec.Raw] = {}  # newest state, encoded once for all; empty until one needs it
 
     def admit(self, reader: Reader) -> bool:
         """Add a reader if it has the token or a place is left. Else it waits, in place of the first of too many."""
@@ -80,44 +68,31 @@ class Stream:
             self._waiting.remove(reader)
 
     async def run(self) -> None:
-        """Send updates every ``PERIOD_S`` until cancelled."""
+        """Update the feed every ``PERIOD_S`` until cancelled."""
         while True:
-            self.tick()
+            self._feed.update()
+            self._current = {}
             await asyncio.sleep(PERIOD_S)
 
-    def tick(self) -> None:
-        """Update the feed and queue the new data for every browser."""
-        self._feed.update()
-        collector = self._feed.collector
-        if self._feed.run != self._run:  # the browsers hold the data of another run
-            self._run, self._sent, self._marks = self._feed.run, {}, 0
-            for reader in self.readers:
-                reader.behind = True
-        tick = _text("tick", self._since(self._sent, self._marks)) if self.readers else ""
-        self._sent = {name: (table.generation, len(table)) for name, table in collector.tables.items()}
-        self._marks = len(collector.marks.marks)
-        whole = ""
-        for reader in self.readers:
-            if not reader.behind:
-                reader.send(tick)
-            elif reader.empty():  # it has taken all texts
-                whole = whole or _text("whole", self._since({}, 0))
-                reader.behind = False
-                reader.send(whole)
-
-    def _since(self, sent: Mapping[str, tuple[int, int]], marks: int) -> dict[str, Any]:
-        """Return what is new since tables of these generations and rows, and so many marks, were sent."""
-        collector, rows, replaced = self._feed.collector, dict[str, Columns](), list[str]()
+    def next_text(self, reader: Reader) -> str:
+        """Return what is new for a reader since its last text."""
+        feed, collector = self._feed, self._feed.collector
+        kind = "tick"
+        if feed.run != reader.run:
+            kind, reader.run, reader.sent, reader.marks = "whole", feed.run, {}, 0
+        rows, replaced = dict[str, Columns](), list[str]()
         for name, table in collector.tables.items():
-            generation, count = sent.get(name, (table.generation, 0))
+            generation, count = reader.sent.get(name, (table.generation, 0))
             if table.generation != generation:
                 replaced.append(name)
                 count = 0
-            if len(table) > count or name not in sent:
+            if len(table) > count or name not in reader.sent:
                 rows[name] = table.since(count)
-        current = {"tables": collector.current_tables(), "values": collector.values, "status": self._feed.status()}
-        return {"rows": rows, "replaced": replaced, "marks": collector.marks.marks[marks:], **current}
-
-
-def _text(kind: str, content: dict[str, Any]) -> str:
-    return msgspec.json.encode({"kind": kind, **content}).decode()
+            reader.sent[name] = table.generation, len(table)
+        marks = collector.marks.marks[reader.marks :]
+        reader.marks += len(marks)
+        if not self._current:
+            current = {"tables": collector.current_tables(), "values": collector.values, "status": feed.status()}
+            self._current = {name: msgspec.Raw(msgspec.json.encode(part)) for name, part in current.items()}
+        news = {"kind": kind, "rows": rows, "replaced": replaced, "marks": marks}
+        return msgspec.json.encode(news | self._current).decode()

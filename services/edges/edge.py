@@ -17,9 +17,12 @@ from collections import deque
 from collections.abc import Iterable
 from typing import ClassVar, NamedTuple, TypeAlias
 
-from ltv_mpc.messages import Estimate, Message, Plan
+import numpy as np
+
+from ltv_mpc.messages import Applied, Array, Estimate, Message, Plan
+from ltv_mpc.safety.plan_queue import PlanQueue
 from ltv_mpc.validation import ReasonCounts, rejection_reason
-from services.edges.plan_follower import PlanFollower
+from ltv_mpc.vehicle.parameters import PLAN_TIMEOUT_S, Vehicle
 
 WINDOW_US = 30_000_000
 MAX_ROUND_TRIP_US = 1_000_000
@@ -28,6 +31,9 @@ MAX_STAMP_NS = 2_147_000_000 * 10**9
 
 MAX_AHEAD_NS, AHEAD_US = 2 * 10**9, 1_000_000
 """A stamp further ahead of the clock is wrong, until stamps have stayed ahead for this time: the clock was set."""
+
+REPORT_NS = 100_000_000
+"""Time between two reports of what acts."""
 
 MAX_SENDERS = 100
 """Largest number of senders whose losses are counted."""
@@ -115,7 +121,7 @@ class Edge(abc.ABC):
     def __init__(self, epoch: int) -> None:
         """``epoch``: random number of this start, from which the identifiers of commands are counted."""
         self.clock = StampedClock()
-        self.plans = PlanFollower()
+        self.plans = PlanQueue(PLAN_TIMEOUT_S)
         self.accepted = 0  # foreign frames
         self.lost = 0  # foreign frames that were sent and have not arrived, as far as their numbers show
         self.refused_by_reason = ReasonCounts()
@@ -162,8 +168,8 @@ class Edge(abc.ABC):
 
     def take(self, message: Message, now_us: int, identity: tuple[int, int] = (0, -1)) -> Iterable[Output]:
         """Handle a message of this bus, of a type in ``reads``, with the epoch and the sequence of its header."""
-        if isinstance(message, Plan):
-            self.plans.follow(message, self.clock.read(now_us), identity)
+        if isinstance(message, Plan) and (t_ns := self.clock.read(now_us)) is not None:
+            self.plans.add(message, t_ns, identity)
         return ()
 
     @abc.abstractmethod
@@ -180,6 +186,40 @@ class Edge(abc.ABC):
     @abc.abstractmethod
     def release(self, now_us: int) -> Iterable[Output]:
         """Return the last frames, after which the edge sends nothing: the thrusters stop."""
+
+
+class AppliedReporter:
+    """Reports of the commands of an edge, every 0.1 s, from its first plan on.
+
+    Thrust is delivered, from rest, of the commands u since the last report, which are zero while the edge has released
+    the thrusters:
+
+        F_i += (1 - exp(-dt / lag_i)) (u_i - F_i)
+
+    The controller then plans from what acts, and learns nothing while the commands are not those of its plans.
+    """
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        self._lag_s = np.array([max(thruster.lag_s, 1e-9) for thruster in vehicle.thrusters])
+        self._thrust_N, self._command_N = np.zeros(3), np.zeros(3)
+        self._t_ns = self._reported_ns = 0
+        self._released = True
+
+    def report(self, plans: PlanQueue, command_N: Array | None, t_ns: int | None, why: str = "") -> list[Applied]:
+        """Take the command from ``t_ns`` on, None for released thrusters, and why. Return the report if it is due.
+
+        It is due at once when the thrusters are released.
+        """
+        if t_ns is None or plans.newest is None:
+            return []
+        seconds = max(t_ns - self._t_ns, 0) * 1e-9
+        self._thrust_N += (1.0 - np.exp(-seconds / self._lag_s)) * (self._command_N - self._thrust_N)
+        self._command_N, self._t_ns = np.zeros(3) if command_N is None else np.asarray(command_N, dtype=float), t_ns
+        released, self._released = self._released, command_N is None
+        if 0 <= t_ns - self._reported_ns < REPORT_NS and released >= self._released:
+            return []
+        self._reported_ns = t_ns
+        return [plans.applied(t_ns, self._thrust_N, self._command_N, why=why)]
 
 
 class LossCounter:

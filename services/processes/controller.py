@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import math
 import os
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -27,32 +26,27 @@ from ltv_mpc.geofence.fence import fence_for
 from ltv_mpc.messages import (
     Action,
     Command,
-    ControllerState,
     ControllerStatus,
     Estimate,
     Manual,
     Message,
-    RejectedFrame,
     Solve,
     SolveStatus,
 )
 from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.references import Reference
-from ltv_mpc.safety import thrust_loss_detector
 from ltv_mpc.vehicle.parameters import Vehicle
-from services.bus.options import BusOptions
-from services.bus.topics import BY_TYPE, Topic
+from services.bus.topics import BY_TYPE
 from services.processes import settings
 from services.processes.checkpoint import Checkpoint
 from services.run.settings_files import TOO_LARGE, controller_files, node_settings
-from services.runtime import metrics as prometheus
 from services.runtime.console import Console
 from services.runtime.controller_status import ControllerStatusReporter, StatusSink, status_line
 from services.runtime.lifeline import LIFELINE
 from services.runtime.process_time import ClockOptions
 from services.runtime.runner import Runner
 from services.runtime.stage_timer import StageTimer
-from services.runtime.stopping import FAILED, Say
+from services.runtime.stopping import Say
 
 Config = settings.Controller
 
@@ -65,15 +59,9 @@ def main(config: Config) -> int:
     fence = fence_for(vehicle, reference, fence_file, notes)
     control, bus = config.resolved(), config.bus
     bottom = bathymetry_for(reference, control.limits, soundings)
-    metrics, console = prometheus.Metrics(), Console(ControllerNode.name, as_json=config.log_json)
+    console = Console(ControllerNode.name, as_json=config.log_json)
     LIFELINE.connect(os.environ)
     with contextlib.ExitStack() as stack:
-        if config.metrics is not None:
-            try:
-                stack.enter_context(prometheus.serving(metrics, config.metrics))
-            except OSError as error:
-                console.say(f"--metrics {config.metrics}: {error.strerror}")
-                return FAILED
         checkpoint = None
         if config.state is not None:
             checkpoint = Checkpoint(config.state, to_toml(reference), resume_within_s=arms_within_s, console=console)
@@ -92,25 +80,25 @@ def main(config: Config) -> int:
         stack.callback(console.close)
 
         def show(status: ControllerStatus) -> None:
-            line = status_line(status, key_in(bus, BY_TYPE[Estimate]))
+            line = status_line(status, "/".join(filter(None, (bus.namespace, BY_TYPE[Estimate].key))))
             console.show(line)
             LIFELINE.status(line)
 
         for text in (
-            *announcement(bus, control),
+            *announcement(control),
             *notes,
             *reference.notes(vehicle),
             *([TOO_LARGE] if published is None else []),
         ):
             console.say(text)
-        shown: list[StatusSink] = [show, metrics.show]
+        shown: list[StatusSink] = [show]
         if checkpoint is not None:
             shown.append(checkpoint.show)
         if config.failed_qps is not None:
             shown.append(FailedQps(recorder, config.failed_qps, console.say).show)
         runner = Runner(
             node,
-            clock=ClockOptions(sync_to_inputs=True, input_delay_ns=round(config.input_delay_s * 1e9)),
+            clock=ClockOptions(sync_to_inputs=True),
             compute_delay_ns=round(config.compute_delay_s * 1e9),
             stages=node_stages,
             report=ControllerStatusReporter(node, shown, console.tell, checkpoint),
@@ -149,37 +137,13 @@ class FailedQps:
         self._say(f"a QP was not solved ({failed.solve.why}); saved: ltv-mpc qp show {path}")
 
 
-INTERNAL_TYPES = (ControllerState, RejectedFrame)
-"""Messages that other publishers do not need: for a restarted controller, and the controller's own process."""
-
-
-def key_in(bus: BusOptions, topic: Topic) -> str:
-    """Return the key of a topic with the bus's namespace."""
-    return f"{bus.namespace}/{topic.key}" if bus.namespace else topic.key
-
-
-def announcement(bus: BusOptions, config: ResolvedConfig) -> Iterator[str]:
-    """Generate the lines printed at the start: horizon and rate, then each key read or written with rate and fields."""
+def announcement(config: ResolvedConfig) -> tuple[str, str]:
+    """Return the lines printed at the start: horizon and rate, and where the messages are described."""
     horizon = f"{config.horizon_s:g} s in {config.stages} stages"
-    yield f"horizon {horizon}, {1e9 / config.period_ns:.3g} cycles per second"
-    yield "SI units and radians, north-east-down; each field name ends with its unit; `ltv-mpc topics KEY` lists them"
-    inputs = [kind for kind in ControllerNode.reads if BY_TYPE[kind].written_by != ControllerNode.name]
-    outputs: list[type[Message]] = [*ControllerNode.writes, ControllerStatus]
-    inputs, outputs = ([kind for kind in kinds if kind not in INTERNAL_TYPES] for kinds in (inputs, outputs))
-    for verb, kinds in (("reads ", inputs), ("writes", outputs)):
-        for kind in kinds:
-            topic = BY_TYPE[kind]
-            period_ns = config.period_ns if topic.period_ns and topic.key == "plan" else topic.period_ns
-            rate = f"{1e9 / period_ns:.3g} /s" if period_ns else "on events"
-            yield f"{verb} {key_in(bus, topic):<24} {rate:<9}  {_fields(kind)}"
-
-
-def _fields(kind: type[Message]) -> str:
-    """Return the names of the required fields, then those of the optional fields in brackets."""
-    fields = msgspec.structs.fields(kind)
-    needed = ", ".join(field.name for field in fields if field.required)
-    optional = ", ".join(field.name for field in fields if not field.required)
-    return f"{needed} [{optional}]" if optional else needed
+    return (
+        f"horizon {horizon}, {1e9 / config.period_ns:.3g} cycles per second",
+        "`ltv-mpc topics` lists the keys that it reads and writes, `ltv-mpc topics KEY` the fields of one",
+    )
 
 
 def warm_up(vehicle: Vehicle, reference: Reference, config: ControllerConfig) -> None:
@@ -217,7 +181,6 @@ def warm_up(vehicle: Vehicle, reference: Reference, config: ControllerConfig) ->
         node.step(t_ns, [ReceivedMessage(message, 1, k, t_ns) for message in messages])
     for missed_s in (2.0, 12.0, 30.0):  # prediction, hold, failsafe
         node.step(t_ns + round(missed_s * 1e9), [])
-    thrust_loss_detector.warm_up()
 
 
 def warm_up_solver(vehicle: Vehicle, config: ResolvedConfig) -> None:

@@ -16,11 +16,11 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from ltv_mpc.bounded import remember
 from ltv_mpc.messages import Applied, Clock, ControllerStatus, Estimate, Message, NodeStatus, Plan
-from ltv_mpc.safety.input_age import SECOND_SOURCE, InputMonitor
+from ltv_mpc.safety.input_age import InputMonitor
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.message_validation import SHARED
 from services.bus.roles import ANYONE, DISPLAY, ROLES
-from services.bus.sequence_check import FAR_AHEAD, SequenceCheck, silence_us
+from services.bus.sequence_check import FAR_AHEAD, SECOND_SOURCE, SequenceCheck, silence_us
 from services.bus.topics import OPERATOR, Topic, topic_at
 from services.bus.wire import Header, WireError, message_at
 from services.recording.loss_accounting import LossAccounting

@@ -4,25 +4,21 @@
     t_s, t_ns                   validity time, if the message has one
     ...                         the header's fields, then the message's own, by their names on the bus, with units
 
-A nested field is ``outer.inner``. A list that has the same length in every message of its key becomes one column for
-each entry, ``name_0``, ``name_1``; a matrix ``name_0_0``, ``name_0_1``. A list of varying length is one column: JSON in
-CSV, a list in Parquet. Structures of varying form are JSON in both. A missing value is an empty cell (null).
+A nested field is ``outer.inner``. A list of numbers has a column for each entry, ``name_0``, ``name_1``; a matrix
+``name_0_0``, ``name_0_1``. Any other list is JSON text. A missing value is an empty cell (null).
 """
 
 from __future__ import annotations
 
 import csv
-import itertools
-import math
 import re
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
 import msgspec
-import numpy as np
 
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import ImuSamples
@@ -30,18 +26,19 @@ from services.bus import topics
 from services.recording.reader import Recording, StoredMessage
 
 Format: TypeAlias = Literal["csv", "parquet"]
+Row: TypeAlias = dict[str, Any]
+"""Cells by column: numbers, booleans, texts, None."""
+Kinds: TypeAlias = dict[str, set[type]]
+"""Types that were seen in the cells of each column."""
 
-MAX_COLUMNS = 1024
-"""Columns of one field; a longer list is one column."""
+MAX_ENTRIES = 1024
+"""Entries of a list that have columns; a longer one is JSON text."""
 MAX_KEYS = 500
 BATCH_ROWS = 5000
-"""Rows of a Parquet file that are kept in memory, and of its row groups."""
+"""Rows of a file that are kept in memory, and of the row groups of a Parquet file."""
 INT64 = 2**63
-MAX_FLOAT_INT = 2**1023
-"""Larger integers do not fit a float and become text."""
-
-_KINDS: dict[type, str] = {int: "int", float: "float", bool: "bool", str: "text"}
-_NUMBERS = {"int", "float"}
+NOTHING = type(None)
+NUMBERS = {int, float, NOTHING}
 
 
 class ExportedFile(msgspec.Struct, frozen=True, kw_only=True):
@@ -62,30 +59,30 @@ class ExportResult(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def export(parts: Sequence[Path], folder: Path, form: Format) -> ExportResult:
-    """Export the recording's segments as tables into ``folder``, which exists.
+    """Export the recording's segments as tables into ``folder``, which exists. It reads them twice: first the columns.
 
     Raises ``ConfigError`` if a segment is not an MCAP file, or pyarrow is needed and not installed.
     """
     if form == "parquet":
         need_pyarrow()
-    layouts: dict[str, dict[str, _Field]] = {}
+    kinds: dict[str, Kinds] = {}
     unreadable = 0
-    for raw, message in _rows(parts):
-        if message is None:
+    for key, row in _rows(parts):
+        if row is None:
             unreadable += 1
             continue
-        if raw.key not in layouts and len(layouts) >= MAX_KEYS:
+        if key not in kinds and len(kinds) >= MAX_KEYS:
             raise ConfigError(f"recording {parts[0]}", "", f"more than {MAX_KEYS} keys")
-        fields = layouts.setdefault(raw.key, defaultdict(_Field))
-        for path, value in message.items():
-            fields[path].add(value)
-    if not layouts and not unreadable:
+        seen = kinds.setdefault(key, defaultdict(set))
+        for column, cell in row.items():
+            seen[column].add(type(cell))
+    if not kinds and not unreadable:
         raise ConfigError(f"recording {parts[0]}", "", "holds no message")
-    tables = {key: _Table(key, fields, folder / name) for key, fields, name in _named(layouts, form)}
+    tables = {key: _Table(folder / name, key, _columns(kinds[key])) for key, name in _named(kinds, form)}
     try:
-        for raw, message in _rows(parts):
-            if message is not None:
-                tables[raw.key].add(raw.t_ns, message)
+        for key, row in _rows(parts):
+            if row is not None:
+                tables[key].add(row)
     finally:
         for table in tables.values():
             table.close()
@@ -93,163 +90,126 @@ def export(parts: Sequence[Path], folder: Path, form: Format) -> ExportResult:
     return ExportResult(folder=str(folder), files=files, unreadable=unreadable)
 
 
-def _rows(parts: Sequence[Path]) -> Iterator[tuple[StoredMessage, dict[str, Any] | None]]:
-    """Yield each message with its flattened map, each inertial sample with one of its own; None if it is not a map."""
-    decode = msgspec.json.Decoder().decode
-    for raw in Recording(*parts, past_losses=True):
+def _rows(parts: Sequence[Path]) -> Iterator[tuple[str, Row | None]]:
+    """Yield the key of each message with its row, with one of each inertial sample; None if it is not a map."""
+    for stored in Recording(*parts):
         try:
-            plain = decode(raw.data)
-            samples = plain.pop("samples", [{}]) if raw.kind is ImuSamples else [{}]
-            rows = [dict(_leaves(plain | sample, "")) for sample in samples]
+            rows = list(_rows_of(stored))
         except (ValueError, TypeError, AttributeError, RecursionError):  # no map, or one that no recorder wrote
-            yield raw, None
+            yield stored.key, None
             continue
         for row in rows:
-            yield raw, row
+            yield stored.key, row
 
 
-def _leaves(table: dict[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
-    for name, value in table.items():
-        if isinstance(value, dict) and value:
-            yield from _leaves(value, f"{prefix}{name}.")
-        else:
-            yield f"{prefix}{name}", value
+_decode = msgspec.json.Decoder().decode
 
 
-def _named(layouts: dict[str, dict[str, _Field]], form: Format) -> Iterator[tuple[str, dict[str, _Field], str]]:
+def _rows_of(stored: StoredMessage) -> Iterator[Row]:
+    plain = _decode(stored.data)
+    for sample in plain.pop("samples", [{}]) if stored.kind is ImuSamples else [{}]:
+        cells = _cells("", plain | sample)
+        times = {"published_s": stored.t_ns / 1e9, "published_ns": stored.t_ns if stored.t_ns < INT64 else None}
+        timed = isinstance(cells.get("t_ns"), int)
+        yield times | ({"t_s": cells["t_ns"] / 1e9} if timed else {}) | cells
+
+
+def _cells(name: str, value: Any) -> Row:
+    """Return the cells of a value: one, or those of the fields of a map or of the numbers of a list."""
+    cells: Row = {}
+    if isinstance(value, dict) and (value or not name):
+        for field, part in value.items():
+            cells |= _cells(f"{name}.{field}" if name else field, part)
+        return cells
+    if isinstance(value, list) and value and not any(isinstance(part, dict) for part in value):
+        for i, part in enumerate(value):
+            cells |= _cells(f"{name}_{i}", part)
+        if len(cells) <= MAX_ENTRIES and all(type(cell) in NUMBERS for cell in cells.values()):
+            return cells
+    fits = not isinstance(value, dict | list) and (not isinstance(value, int) or -INT64 <= value < INT64)
+    return {name: value if fits else msgspec.json.encode(value).decode()}
+
+
+def _columns(kinds: Kinds) -> dict[str, type]:
+    """Return the type of each column: int, float, bool, str; or object, whose cells are JSON text.
+
+    A field that is null in some messages and a map or a list in others has only the columns of these.
+    """
+    split = {column[: match.start()] for column in kinds for match in re.finditer(r"\.|_(?=[0-9_]+$)", column)}
+    columns: dict[str, type] = {}
+    for column, seen in kinds.items():
+        found = seen - {NOTHING}
+        if found == {int, float} or (not found and column not in split):
+            columns[column] = float
+        elif found:
+            columns[column] = found.pop() if len(found) == 1 else object
+    return columns
+
+
+def _named(keys: Iterable[str], form: Format) -> Iterator[tuple[str, str]]:
     """Yield each key with a safe file name: keys come from a file, and must not lead out of the folder."""
     taken: set[str] = set()
-    for key in sorted(layouts):
+    for key in sorted(keys):
         stem = name = re.sub(r"[^A-Za-z0-9_.-]", "-", key).lstrip(".-")[:100] or "key"
         count = 1
         while name.lower() in taken:
             count += 1
             name = f"{stem}-{count}"
         taken.add(name.lower())
-        yield key, layouts[key], f"{name}.{form}"
-
-
-class Column(msgspec.Struct, frozen=True, kw_only=True):
-    """Column of a table: numbers (int, float), bool, text, json; or of lists of numbers, ``depth`` levels of them."""
-
-    name: str
-    kind: str
-    depth: int = 0
-
-
-class _Field:
-    """Types and shapes seen in one field; a scalar has the shape ()."""
-
-    def __init__(self) -> None:
-        self.kinds: set[str] = set()
-        self.shapes: set[tuple[int, ...]] = set()
-
-    def add(self, value: Any) -> None:
-        """Add a value of a message."""
-        if value is None:
-            return
-        entries, shape = _entries(value)
-        kinds = {_kind(entry) for entry in entries if entry is not None}
-        even = not shape or (len(shape) <= 2 and kinds <= _NUMBERS)
-        self.shapes.add(shape if even else ())
-        self.kinds |= kinds if even else {"json"}
-
-    def columns(self, path: str) -> tuple[Column, ...]:
-        """Return the columns for all values seen: one, or one for each entry of a list."""
-        depths = {len(shape) for shape in self.shapes} or {0}
-        numbers = self.kinds <= _NUMBERS  # none of them: always null
-        if len(depths) > 1 or not (numbers or len(self.kinds) == 1):
-            return (Column(name=path, kind="json"),)
-        kind = next(iter(self.kinds)) if len(self.kinds) == 1 else "float"
-        shape = max(self.shapes, default=())
-        if len(self.shapes) > 1 or not 0 < math.prod(shape) <= MAX_COLUMNS:
-            return (Column(name=path, kind=kind, depth=len(shape)),)
-        places = itertools.product(*map(range, shape))
-        return tuple(Column(name="_".join((path, *map(str, place))), kind=kind) for place in places)
-
-
-def _entries(value: Any) -> tuple[list[Any], tuple[int, ...]]:
-    """Return the entries of a list or matrix, and its shape; rows of different lengths stay lists."""
-    if not isinstance(value, list):
-        return [value], ()
-    array = np.array(value, dtype=object)
-    return array.ravel().tolist(), array.shape
-
-
-def _kind(value: Any) -> str:
-    kind = _KINDS.get(type(value), "json")
-    if kind == "int" and not -INT64 <= value < INT64:
-        return "float" if abs(value) < MAX_FLOAT_INT else "json"
-    return kind
-
-
-def _cells(columns: Sequence[Column], value: Any) -> Sequence[Any]:
-    """Return the cells of a field's value."""
-    kind = columns[0].kind
-    if value is None:
-        return (None,) * len(columns)
-    if kind == "json":
-        return (msgspec.json.encode(value).decode(),)
-    if columns[0].depth:
-        return (_floats(value) if kind == "float" else value,)
-    entries, _ = _entries(value)
-    return _floats(entries) if kind == "float" else entries
-
-
-def _floats(value: list[Any]) -> list[Any]:
-    return [_floats(x) if isinstance(x, list) else None if x is None else float(x) for x in value]
+        yield key, f"{name}.{form}"
 
 
 class _Table:
-    """Table of one key."""
+    """Table of one key, written in batches of rows."""
 
-    def __init__(self, key: str, fields: dict[str, _Field], path: Path) -> None:
-        parents = {name.rpartition(".")[0] for name in fields}
-        # A field that is null in some messages and a map in others has the columns of the map.
-        self._fields = {
-            name: field.columns(name) for name, field in fields.items() if field.kinds or name not in parents
-        }
-        self._timed = self._fields.get("t_ns") == (Column(name="t_ns", kind="int"),)
-        times = [Column(name="published_s", kind="float"), Column(name="published_ns", kind="int")]
-        times += [Column(name="t_s", kind="float")] if self._timed else []
-        columns = [*times, *itertools.chain.from_iterable(self._fields.values())]
-        self._file = _CsvFile(columns, path) if path.suffix == ".csv" else _ParquetFile(columns, path, key)
-        self.close = self._file.close
-        self._key, self._name, self._columns, self._rows = key, path.name, len(columns), 0
+    def __init__(self, path: Path, key: str, columns: Mapping[str, type]) -> None:
+        self._columns = columns
+        self._file = _CsvFile(path, columns) if path.suffix == ".csv" else _ParquetFile(path, columns, key)
+        self._batch: list[Row] = []
+        self._name, self._key, self._rows = path.name, key, 0
 
     @property
     def exported(self) -> ExportedFile:
         """Description of the file that was written."""
-        return ExportedFile(file=self._name, key=self._key, rows=self._rows, columns=self._columns)
+        return ExportedFile(file=self._name, key=self._key, rows=self._rows, columns=len(self._columns))
 
-    def add(self, published_ns: int, message: dict[str, Any]) -> None:
-        """Add a message of the key."""
-        row: list[Any] = [published_ns / 1e9, published_ns if published_ns < INT64 else None]
-        if self._timed:
-            t_ns = message.get("t_ns")
-            row.append(None if t_ns is None else t_ns / 1e9)
-        for name, columns in self._fields.items():
-            row += _cells(columns, message.get(name))
-        self._file.write(row)
+    def add(self, row: Row) -> None:
+        """Add a row; a cell that it lacks is null."""
         self._rows += 1
+        self._batch.append({column: _typed(row.get(column), kind) for column, kind in self._columns.items()})
+        if len(self._batch) >= BATCH_ROWS:
+            self._flush()
+
+    def close(self) -> None:
+        """Write the remaining rows and finish the file."""
+        self._flush()
+        self._file.close()
+
+    def _flush(self) -> None:
+        self._file.write(self._batch)
+        self._batch = []
+
+
+def _typed(cell: Any, kind: type) -> Any:
+    if cell is None or kind in (int, bool, str):
+        return cell
+    return float(cell) if kind is float else msgspec.json.encode(cell).decode()
 
 
 class _CsvFile:
-    """File of rows as text; lists and booleans are JSON."""
+    """File of rows as text; booleans are ``true`` and ``false``."""
 
-    def __init__(self, columns: Sequence[Column], path: Path) -> None:
+    def __init__(self, path: Path, columns: Mapping[str, type]) -> None:
         self._file = path.open("w", encoding="utf-8", newline="")
         self.close = self._file.close
-        self._writer = csv.writer(self._file, lineterminator="\n")
-        self._writer.writerow([column.name for column in columns])
-        self._as_json = [i for i, column in enumerate(columns) if column.depth or column.kind == "bool"]
+        self._writer = csv.DictWriter(self._file, columns, lineterminator="\n")
+        self._writer.writeheader()
 
-    def write(self, row: list[Any]) -> None:
-        """Write a row."""
-        for i in self._as_json:
-            if row[i] is not None:
-                row[i] = msgspec.json.encode(row[i]).decode()
-        self._writer.writerow(row)
+    def write(self, rows: Iterable[Row]) -> None:
+        """Write rows."""
+        words = {True: "true", False: "false"}
+        for row in rows:
+            self._writer.writerow({name: words[cell] if isinstance(cell, bool) else cell for name, cell in row.items()})
 
 
 def need_pyarrow() -> None:
@@ -260,40 +220,20 @@ def need_pyarrow() -> None:
 
 
 class _ParquetFile:
-    """File of typed columns, written in batches of rows."""
+    """File of typed columns, of which each batch is a row group."""
 
-    def __init__(self, columns: Sequence[Column], path: Path, key: str) -> None:
+    def __init__(self, path: Path, columns: Mapping[str, type], key: str) -> None:
         import pyarrow as pa
         from pyarrow import parquet as pq
 
-        self._pa = pa
         topic = topics.topic_at(key)
         about = {"ltv_mpc.key": key, "ltv_mpc.message": "" if topic is None else topic.message_type.__name__}
-        types = {"int": pa.int64(), "float": pa.float64(), "bool": pa.bool_()}
-        made = []
-        for column in columns:
-            kind = types.get(column.kind, pa.string())
-            for _ in range(column.depth):
-                kind = pa.list_(kind)
-            made.append((column.name, kind))
-        self._schema = pa.schema(made, metadata=about)
+        types = {int: pa.int64(), float: pa.float64(), bool: pa.bool_(), str: pa.string(), object: pa.string()}
+        self._schema = pa.schema([(name, types[kind]) for name, kind in columns.items()], metadata=about)
+        self._table = pa.Table
         self._file = pq.ParquetWriter(path, self._schema, compression="zstd")
-        self._rows: list[list[Any]] = []
+        self.close = self._file.close
 
-    def write(self, row: list[Any]) -> None:
-        """Add a row."""
-        self._rows.append(row)
-        if len(self._rows) >= BATCH_ROWS:
-            self._flush()
-
-    def close(self) -> None:
-        """Write the remaining rows and finish the file."""
-        if self._rows:
-            self._flush()
-        self._file.close()
-
-    def _flush(self) -> None:
-        columns = zip(zip(*self._rows, strict=True), self._schema, strict=True)
-        arrays = [self._pa.array(values, type=field.type) for values, field in columns]
-        self._file.write_table(self._pa.Table.from_arrays(arrays, schema=self._schema))
-        self._rows = []
+    def write(self, rows: list[Row]) -> None:
+        """Write a batch of rows."""
+        self._file.write_table(self._table.from_pylist(rows, schema=self._schema))

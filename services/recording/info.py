@@ -226,7 +226,7 @@ class _Collector:
 def read(parts: Sequence[Path]) -> Info:
     """Summarise the segments of a recording, in their order. Raises ``ConfigError`` if one is not an MCAP file."""
     collector = _Collector()
-    recordings = [Recording(path, past_losses=True) for path in parts]
+    recordings = [Recording(path) for path in parts]
     segments = tuple(map(collector.read, recordings))
     metadata = next((recording.metadata for recording in recordings if recording.metadata), {})
     keys = tuple(figures.key(name) for name, figures in sorted(collector.keys.items()))

@@ -73,17 +73,15 @@ class Recording:
     """Recording of one file, or of a run's segments in their order; iteration reads it from the start.
 
     ``metadata``, those of the first file that has any, are complete once iteration has started, ``others``, the other
-    metadata records by name, after it. Reading of a file ends at its first loss, because the messages behind it would
-    seem to follow those before it; ``past_losses``: it continues there. ``parts`` have the losses.
+    metadata records by name, after it. It continues behind a loss; ``parts`` have the losses.
     """
 
-    def __init__(self, *paths: Path, past_losses: bool = False) -> None:
+    def __init__(self, *paths: Path) -> None:
         self.metadata: dict[str, str] = {}
         self.others: dict[str, dict[str, str]] = {}
         self.channels: dict[str, tuple[Channel, Schema | None]] = {}
         """First channel of each key that has been read, with its schema."""
         self.parts = tuple(map(Records, paths))
-        self._past_losses = past_losses
 
     @property
     def cut(self) -> bool:
@@ -101,8 +99,6 @@ class Recording:
         channels: dict[int, tuple[str, type[Message] | None] | None] = {}
         start_ns = 0
         for record in records:
-            if not self._past_losses and (records.losses or records.orphans):
-                break
             if isinstance(record, McapMessage):
                 channel = channels[record.channel_id]
                 if channel is not None:

@@ -123,7 +123,7 @@ def _copied(parts: Sequence[Path], out: Path) -> Recovery:
     copied = []
     with RunWriter(out, start_ns=start_of(metadata), metadata=metadata, flush_s=None) as writer:
         for path in parts:
-            recording, messages = Recording(path, past_losses=True), 0
+            recording, messages = Recording(path), 0
             for stored in recording.stored():
                 writer.copy(stored, *recording.channels[stored.key])
                 messages += 1

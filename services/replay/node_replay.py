@@ -11,11 +11,11 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Sequence
 from functools import partial
-from itertools import takewhile
 from typing import TypeAlias
 
 import msgspec
 
+from ltv_mpc.bounded import remember
 from ltv_mpc.messages import InboxEntry, NodeStatus, RecordedStep, StepRecord
 from ltv_mpc.node import Node, ReceivedMessage
 from services.bus.time_shift import shifted
@@ -31,8 +31,8 @@ REACH = 100_000
 """Largest distance in the file, in messages, between a step's record and a message of its inbox. The file has the
 messages of several processes in the order in which the recorder received them, and a mailbox holds 50,000."""
 
-SWEEP = 10_000
-"""Messages between two removals of those that are too old to be needed."""
+MAX_FRAMES = 50_000
+"""Frames of a node that wait for the record of their step; beyond that number the oldest is forgotten."""
 
 FIRST_STEP = "the record of its first step, which it published before the recorder was there,"
 
@@ -40,8 +40,8 @@ FIRST_STEP = "the record of its first step, which it published before the record
 Frame: TypeAlias = tuple[str, int, int, int]
 """Identity of a frame: its key, epoch, sequence number and CRC."""
 
-Frames: TypeAlias = dict[Frame, tuple[int, StoredMessage]]
-"""Frames in the order of the file, each with its position in it, until they are used or too old."""
+Frames: TypeAlias = dict[Frame, StoredMessage]
+"""Frames in the order of the file, until they are used or too old."""
 
 
 def frame_of(entry: InboxEntry) -> Frame:
@@ -66,7 +66,6 @@ class Epoch:
     def __init__(self, number: int, make: Callable[[], Node], frames: Frames, outcome: Comparison | WhatIf) -> None:
         self.number = number
         self.outcome = outcome
-        self.last_at = 0  # position of its newest record in the file
         self.steps_run = 0  # by its records and its status
         self.gap: Gap | None = None
         self._make = make
@@ -77,7 +76,6 @@ class Epoch:
 
     def take(self, record: StepRecord, at: int) -> None:
         """Add a record of the file. A duplicate counts once."""
-        self.last_at = at
         self.steps_run = max(self.steps_run, record.step + len(record.steps))
         if self.gap is None:
             for number, step in enumerate(record.steps, record.step):
@@ -103,7 +101,7 @@ class Epoch:
             self._stop(f"{missing} is not in the file", step.t_ns)
 
     def close(self) -> None:
-        """Finish: the file has been read, or a newer epoch started long ago."""
+        """Finish: the file has been read."""
         self.advance(None)
         if self.gap is None and self.outcome.behind:  # killed before it published a status
             self.steps_run = max(self.steps_run, self._next + 1)
@@ -118,7 +116,7 @@ class Epoch:
         number = self._next
         del self._steps[number]
         try:
-            arrivals = [received_message(self._frames[frame_of(entry)][1], entry) for entry in step.inbox]
+            arrivals = [received_message(self._frames[frame_of(entry)], entry) for entry in step.inbox]
         except WireError as error:
             self._stop(f"this version does not know the message: {error}", step.t_ns)
             return
@@ -163,7 +161,6 @@ class NodeReplay:
         self._make = make
         self._outcome = outcome
         self._frames: Frames = {}
-        self._open: list[Epoch] = []
 
     @property
     def keys(self) -> frozenset[str]:
@@ -182,34 +179,21 @@ class NodeReplay:
                         epoch.steps_run = max(epoch.steps_run, steps)
             return
         if table_key(stored.key) in self.reads:
-            self._frames.setdefault((stored.key, header.epoch, header.sequence, stored.crc), (at, stored))
-            for epoch in self._open:
+            remember(self._frames, (stored.key, header.epoch, header.sequence, stored.crc), stored, MAX_FRAMES)
+            for epoch in self.epochs.values():
                 epoch.advance(at)
         if stored.key in self.writes and header.epoch in self.epochs:
             self.epochs[header.epoch].outcome.add_recorded(stored, header)
 
-    def sweep(self, at: int) -> None:
-        """Discard messages that are no longer needed, and close epochs that a newer one has followed."""
-        for frame in list(takewhile(lambda frame: self._frames[frame][0] < at - REACH, self._frames)):
-            del self._frames[frame]
-        for epoch in self._open[:-1]:
-            if epoch.last_at < at - REACH:
-                epoch.close()
-                self._open.remove(epoch)
-
     def close(self) -> None:
         """Close all epochs at the end of the file."""
-        for epoch in self._open:
+        for epoch in self.epochs.values():
             epoch.close()
-        self._open.clear()
 
     def _epoch(self, number: int) -> Epoch:
-        epoch = self.epochs.get(number)
-        if epoch is None:
-            made = Epoch(number, partial(self._make, number), self._frames, self._outcome(number))
-            epoch = self.epochs[number] = made
-            self._open.append(epoch)
-        return epoch
+        if number not in self.epochs:
+            self.epochs[number] = Epoch(number, partial(self._make, number), self._frames, self._outcome(number))
+        return self.epochs[number]
 
 
 def feed(recording: Recording, nodes: Sequence[NodeReplay], is_done: Callable[[], bool] = lambda: False) -> float:
@@ -222,21 +206,16 @@ def feed(recording: Recording, nodes: Sequence[NodeReplay], is_done: Callable[[]
     def wanted(key: str) -> bool:
         return table_key(key) in readers  # also of the sources that publish beside those of the table
 
-    times_ns: list[int] = []  # of the first message, of one in ``SWEEP``, and of the last
+    first_ns = last_ns = 0
     for at, stored in enumerate(recording.stored(wanted), 1):
-        if at == 1 or at % SWEEP == 0:
-            times_ns.append(stored.t_ns)
+        first_ns = stored.t_ns if at == 1 else min(first_ns, stored.t_ns)
+        last_ns = stored.t_ns if at == 1 else max(last_ns, stored.t_ns)
         with contextlib.suppress(WireError):
             header = stored.header()
             for node in readers.get(table_key(stored.key), ()):
                 node.take(stored, header, at)
-        if at % SWEEP == 0:
-            for node in nodes:
-                node.sweep(at)
         if is_done():
             break
     for node in nodes:
         node.close()
-    if times_ns:
-        times_ns.append(stored.t_ns)
-    return (max(times_ns, default=0) - min(times_ns, default=0)) / 1e9
+    return (last_ns - first_ns) / 1e9

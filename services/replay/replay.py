@@ -1,7 +1,7 @@
 """Replay of a run, ``ltv-mpc replay RUN``: its nodes step again on their recorded inputs, and outputs are compared.
 
 Memory does not grow with the length of a run: the file is read once, and a bounded part of it is kept
-(``node_replay.REACH``).
+(``REACH`` and ``MAX_FRAMES`` of ``node_replay``).
 """
 
 from __future__ import annotations

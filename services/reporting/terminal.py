@@ -6,7 +6,7 @@ import math
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 
 from rich.console import Console, Group
@@ -18,13 +18,11 @@ from rich.text import Text
 
 from ltv_mpc.errors import one_line
 from ltv_mpc.messages import ControllerStatus, SensorStatus
+from ltv_mpc.vehicle.parameters import Vehicle
 from services.reporting.plots.collector import Collector
 from services.reporting.plots.vehicle_from_above import current_at
 from services.runtime.console import WIDTH, drawn, figure, fold
 from services.supervisor.screen import LiveView, in_order
-
-Limits = Sequence[tuple[float, float]]
-"""Minimum and maximum thrust (N) of port, starboard, vertical; empty if they are not known."""
 
 REDRAW_S = 0.125
 LINE_S = 5.0
@@ -49,13 +47,16 @@ class RunScreen:
     """Screen of a run: redrawn in place on a terminal, otherwise a line every ``LINE_S``."""
 
     def __init__(
-        self, title: str, limits: Limits, console: Console | None = None, files: Mapping[str, str] | None = None
+        self,
+        title: str,
+        vehicle: Vehicle | None,
+        console: Console | None = None,
+        files: Mapping[str, str] | None = None,
     ) -> None:
-        """``files`` are the settings of the run."""
+        """``vehicle`` has the limits of the thrusts; ``files`` are the settings of the run."""
         self._title = title
-        self._limits = limits
         self._console = console or stderr_console()
-        self._collector = Collector()
+        self._collector = Collector(vehicle)
         self._collector.set_files(files or {})
         self._live: Live | None = None
         if not is_plain(self._console):
@@ -100,7 +101,7 @@ class RunScreen:
         lines = [
             *(self._title, _progress(view), ""),
             *(*_motion(view, self._collector), *_localisation(view), ""),
-            *(*_thrusts(view, self._limits), "", *_ages(view), ""),
+            *(*_thrusts(view, self._collector.vehicle), "", *_ages(view), ""),
         ]
         texts = [Text(one_line(text), no_wrap=True, overflow="ellipsis") for text in lines]
         texts[0].stylize("bold")
@@ -231,14 +232,15 @@ def _localisation(view: LiveView) -> list[str]:
     return ["   ".join([f"filter  {report.status}{why}", *wrong])]
 
 
-def _thrusts(view: LiveView, limits: Limits) -> list[str]:
+def _thrusts(view: LiveView, vehicle: Vehicle | None) -> list[str]:
     """Return a line for each thruster: its force, and a bar if its limits are known. A surface craft has two."""
-    dives = any(limits[2]) if limits else view.estimate is None or view.estimate.depth_m is not None
+    dives = vehicle.can_dive if vehicle else view.estimate is None or view.estimate.depth_m is not None
     names = THRUSTERS if dives else THRUSTERS[:2]
     if view.applied is None:
         return [f"{name:<10}{'-':>8} N" for name in names]
-    thrusts_N = view.applied.thrust_N
-    bars = [f"  {bar(thrust_N, *ends)}" for thrust_N, ends in zip(thrusts_N, limits, strict=False)] or [""] * len(names)
+    thrusts_N, thrusters = view.applied.thrust_N, vehicle.thrusters if vehicle else ()
+    bars = [f"  {bar(thrust_N, one.min_N, one.max_N)}" for thrust_N, one in zip(thrusts_N, thrusters, strict=False)]
+    bars = bars or [""] * len(names)
     return [f"{name:<10}{thrust_N:z8.1f} N{one}" for name, thrust_N, one in zip(names, thrusts_N, bars, strict=False)]
 
 

@@ -46,19 +46,18 @@ def _row(topic: Topic) -> dict[str, Any]:
         "key": f"{topic.key}/<node>" if topic.written_by == "*" else topic.key,
         "message": topic.message_type.__name__,
         "period_ns": topic.period_ns,
-        "delivery": str(topic.delivery),
         "written_by": "every node" if topic.written_by == "*" else topic.written_by,
         "read_by": ["every node" if reader == "*" else reader for reader in topic.read_by],
     }
 
 
 def _table(rows: list[dict[str, Any]]) -> str:
-    header = ("key", "message", "period", "delivery", "written by", "read by")
+    header = ("key", "message", "period", "written by", "read by")
     cells = []
     for row in rows:
         period = f"{round(row['period_ns'] / 1e6, 1):g} ms" if row["period_ns"] else "on events"
         readers = ", ".join(row["read_by"]) or "-"
-        cells.append((row["key"], row["message"], period, row["delivery"], row["written_by"], readers))
+        cells.append((row["key"], row["message"], period, row["written_by"], readers))
     return "\n".join(columns([header, *cells])) + "\n"
 
 

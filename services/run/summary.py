@@ -73,7 +73,6 @@ def summarise(
         compute_delay_wall_s=metrics.delays.compute(wall=True) if measured else nothing,
         end_to_end_delay_s=metrics.delays.end_to_end(),
         end_to_end_delay_wall_s=metrics.delays.end_to_end(wall=True) if measured else nothing,
-        stages_us=metrics.delays.stages() if measured else {},
         deadline_misses=metrics.deadline_misses,
         plans_refused=metrics.plans_refused,
         qp_status=dict(sorted(metrics.qp_status.items())),
@@ -145,7 +144,7 @@ def _summarise(run_config: RunConfig, recording: Recording) -> Found:
     statuses: dict[str, dict[int, NodeStatus]] = {}  # last status by process and epoch
     kinds: set[type[Message]] = {*metrics.message_types, ControllerStatus, NodeStatus, RejectedFrame, RunEvent}
     for stored in recording.stored():
-        for message, header, t_ns in acceptance.take(stored, kinds):
+        for message, header, _ in acceptance.take(stored, kinds):
             match message:
                 case RejectedFrame(node=node) if node in PROCESSES:
                     reported[node] += 1
@@ -156,7 +155,7 @@ def _summarise(run_config: RunConfig, recording: Recording) -> Found:
                     why = why or (text if kind == ENDED else "")
                 case Estimate():
                     learned.update(message)
-            metrics.observe(message, epoch=header.epoch, sequence=header.sequence, t_ns=t_ns)
+            metrics.observe(message, epoch=header.epoch, sequence=header.sequence)
     restarts = max(faults, sum(len(epochs) - 1 for epochs in statuses.values()))
     # A flood of rejections is not recorded as a whole, so the counts in the statuses matter too.
     counts = {node: sum(one.rejected for one in epochs.values()) for node, epochs in statuses.items()}

@@ -36,7 +36,7 @@ StatusSink = Callable[[ControllerStatus], None]
 
 
 class ControllerStatusReporter:
-    """Reporter of the controller's status on the bus, and to each sink: the status line, the metrics, the changes."""
+    """Reporter of the controller's status on the bus, and to each sink: the status line, the changes."""
 
     def __init__(
         self,
@@ -92,7 +92,7 @@ class ControllerStatusReporter:
         took_us = sorted(took for _, took in self._cycles)
         node = self._node
         estimate, sources = node.sources.newest, node.sources.selector
-        second = sources.contest.second(t_ns)
+        second = sources.second(t_ns)
         rejected = Counter(validator.rejected_by_reason)
         if node.arbiter.manual_rejected:
             rejected["manual: thrust outside the limits"] = node.arbiter.manual_rejected

@@ -16,7 +16,6 @@ from ltv_mpc.messages import (
     Heartbeat,
     InboxEntry,
     NodeStatus,
-    RejectedFrame,
     RunEvent,
 )
 from ltv_mpc.node import Node, OnMessage
@@ -132,8 +131,4 @@ class InputReceiver:
 
     def _reject(self, frame: Frame, reason: str) -> None:
         now_ns = self._time.now_ns(frame.received_monotonic_us)
-        rejected = rejection(frame, reason, node=self._node.name, t_ns=now_ns)
-        if RejectedFrame in self._node.reads:
-            self._io.publish_to_self(rejected, now_ns)
-        else:
-            self._io.publish(rejected)
+        self._io.publish(rejection(frame, reason, node=self._node.name, t_ns=now_ns))

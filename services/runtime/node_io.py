@@ -9,7 +9,7 @@ from ltv_mpc.messages import InboxEntry, Message, RecordedStep, StepRecord
 from ltv_mpc.node import ReceivedMessage
 from services.bus.outbox import Outbox, SentMessage
 from services.bus.time_shift import shifted
-from services.bus.topics import BY_TYPE, LATEST, STATES, source_of
+from services.bus.topics import STATES, source_of
 from services.bus.wire import decode
 from services.runtime.clock import monotonic_us
 from services.runtime.lifeline import LIFELINE
@@ -86,12 +86,7 @@ class NodeIO:
             self._inbox.insert(0, self._inbox.pop())
 
     def add_to_inbox(self, message: Message, entry: InboxEntry) -> None:
-        """Put a message, its times being vehicle time, into the inbox of the next step.
-
-        Of a key with delivery LATEST only the newest message is kept. ``entry`` is for the step's record.
-        """
-        if BY_TYPE[type(message)].delivery is LATEST:
-            self._inbox = [pair for pair in self._inbox if pair[1].key != entry.key]
+        """Put a message, its times being vehicle time, into the inbox of the next step; ``entry`` is for its record."""
         arrival = ReceivedMessage(message, entry.epoch, entry.sequence, entry.received_t_ns, source_of(entry.key))
         self._inbox.append((arrival, entry))
 

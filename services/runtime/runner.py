@@ -60,9 +60,6 @@ from services.runtime.stopping import Say, StopRequest
 if TYPE_CHECKING:  # only a controller needs it
     from services.runtime.controller_status import ControllerStatusReporter
 
-DELIVERED_BY_PROCESS: tuple[type[Message], ...] = (RejectedFrame, Clock)
-"""Types that each process delivers to its own node, although others publish them too."""
-
 CLOCK_MASTER_INPUTS: tuple[type[Message], ...] = (NodeStatus, ClockCommand)
 """Types that the clock master's process reads for its clock."""
 
@@ -160,7 +157,7 @@ class Runner:
         """Declare publishers and subscribers, and start the clock's part of the process."""
         node, time, keeps_time = self._node, self._time, self._time.master is not None
         inputs = [kind for kind in node.reads if BY_TYPE[kind].written_by != node.name]  # its own need no bus
-        inputs = [kind for kind in inputs if kind not in DELIVERED_BY_PROCESS]
+        inputs = [kind for kind in inputs if kind is not Clock]  # delivered by the process
         optional: dict[type[Message], bool] = {
             CycleTiming: times_cycles(node),
             ClockStep: ClockStep in node.reads,

@@ -24,8 +24,6 @@ from sim.evaluation.metrics import RunMetrics
 from sim.evaluation.summary import Messages, Summary
 from sim.scheduler import EPOCH, LockStep, Observation, Step
 
-LATEST = frozenset(topic.message_type for topic in topics.TOPICS if topic.delivery is topics.LATEST)
-
 PROGRESS_NS = 1_000_000_000
 """Vehicle time between two reports of progress."""
 
@@ -103,7 +101,6 @@ def simulate(
             types=None if recorded or keep else log.metrics.message_types | {RejectedFrame},
             on_step=log.stepped if recorded else None,
         ),
-        latest=LATEST,
         make_rejection=rejected_message,
     )
     failure: OSError | None = None
@@ -154,7 +151,7 @@ class _Log:
 
     def published(self, node: str, message: ReceivedMessage) -> None:
         content = message.message
-        self.metrics.observe(content, epoch=EPOCH, sequence=message.sequence, t_ns=message.received_t_ns)
+        self.metrics.observe(content, epoch=EPOCH, sequence=message.sequence)
         if type(content) is RejectedFrame:
             self.rejected_count += 1
         if self._writer is not None:
@@ -187,7 +184,7 @@ def _entry(message: ReceivedMessage, reader: str) -> InboxEntry:
 
 
 def _key(message: Message, reader: str) -> str:
-    """Return the key of a message. A node reads only its own ``RejectedFrame``, a type that all nodes write."""
+    """Return the key of a message; that of a type that all nodes write ends with the name of the node."""
     return topics.key_of(type(message), reader)
 
 

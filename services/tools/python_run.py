@@ -124,7 +124,7 @@ class Run(Mapping[str, "Table"]):
         """
         recording = folder.find(str(path))
         messages: dict[str, list[Message]] = {}
-        for stored in Recording(*segments(recording), past_losses=True):
+        for stored in Recording(*segments(recording)):
             if stored.kind not in (None, StepRecord):
                 try:
                     messages.setdefault(stored.key, []).append(stored.message())

@@ -44,7 +44,7 @@ def silence(monitor: BusMonitor, now_s: float) -> str:
 
 def main(bus: BusOptions, vehicle: str | None) -> int:
     """Show the screen until a signal stops it; with ``vehicle`` also bars of its thrusts. Return the exit code."""
-    limits = [] if vehicle is None else [(one.min_N, one.max_N) for one in Vehicle.load(vehicle).thrusters]
+    known = None if vehicle is None else Vehicle.load(vehicle)
     title = bus.namespace or ", ".join(bus.connects_to)
 
     def work(request: StopRequest, say: Say) -> None:
@@ -53,7 +53,7 @@ def main(bus: BusOptions, vehicle: str | None) -> int:
             if not bus.namespace:
                 session.subscribe(f"**/{STATUS}/*", BY_TYPE[NodeStatus], others)
             started_s = time.monotonic()
-            screen = RunScreen(title, limits)
+            screen = RunScreen(title, known)
             try:
                 while not request.wait(UPDATE_S):
                     now_s = time.monotonic()

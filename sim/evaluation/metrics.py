@@ -222,30 +222,26 @@ class PlanDelays:
     """Delays from an estimate to the effect of its plan."""
 
     def __init__(self) -> None:
-        # Start of the plan, time of its estimate, publication; by epoch and sequence, until the plant receives it.
-        self._published: dict[tuple[int, int], tuple[int, int, int]] = {}
-        self._received = array("d")  # estimate to effect, publication to arrival, arrival to effect (ns); clock's speed
+        # Start of the plan and time of its estimate, by epoch and sequence, until the plant receives it.
+        self._published: dict[tuple[int, int], tuple[int, int]] = {}
+        self._effective_s = array("d")  # estimate to effect, vehicle and wall
         self._compute_s = array("d")  # vehicle and wall
-        self._laps_us: dict[str, array[float]] = {"age": array("d")}
 
-    def add_plan(self, plan: Plan, epoch: int, sequence: int, t_ns: int) -> None:
-        """Add a plan that was published at ``t_ns``."""
-        self._published[epoch, sequence] = int(plan.t_ns[0]), plan.estimate_t_ns, t_ns
+    def add_plan(self, plan: Plan, epoch: int, sequence: int) -> None:
+        """Add a plan that was published."""
+        self._published[epoch, sequence] = int(plan.t_ns[0]), plan.estimate_t_ns
 
     def add_applied(self, applied: Applied, speed: float) -> None:
         """Add the arrival of a plan at the plant; ``speed`` is that of the clock."""
         plan = self._published.pop((applied.plan_epoch, applied.plan_sequence), None)
         if plan is not None:
-            (start_ns, estimate_ns, published_ns), received_ns = plan, applied.plan_received_t_ns
-            effect_ns = max(start_ns, received_ns)
-            self._received.extend((effect_ns - estimate_ns, received_ns - published_ns, effect_ns - received_ns, speed))
+            start_ns, estimate_ns = plan
+            delay_s = (max(start_ns, applied.plan_received_t_ns) - estimate_ns) / 1e9
+            self._effective_s.extend((delay_s, delay_s / speed))
 
-    def add_timing(self, timing: CycleTiming, speed: float) -> None:
+    def add_timing(self, timing: CycleTiming, *_: int) -> None:
         """Add the times of one controller cycle."""
         self._compute_s.extend((timing.compute_ns / 1e9, timing.compute_wall_ns / 1e9))
-        self._laps_us["age"].append(timing.estimate_age_ns / 1e3 / speed)
-        for stage, us in timing.stage_us.items():
-            self._laps_us.setdefault(stage, array("d")).append(us)
 
     def compute(self, *, wall: bool = False) -> Quantiles:
         """Return the delay from the start of a cycle to the publication of its plan (s)."""
@@ -253,15 +249,7 @@ class PlanDelays:
 
     def end_to_end(self, *, wall: bool = False) -> Quantiles:
         """Return the delay from an estimate's validity time to the effect of its plan (s)."""
-        delay_ns, _, _, speed = _rows(self._received, 4).T
-        return quantiles(delay_ns / 1e9 / (speed if wall else 1.0))
-
-    def stages(self) -> dict[str, Quantiles]:
-        """Return the wall time of each stage of a cycle (us), from the age of the estimate to the plan's effect."""
-        _, transport_ns, apply_ns, speed = _rows(self._received, 4).T
-        after = {"transport": transport_ns / 1e3 / speed, "apply": apply_ns / 1e3 / speed}
-        laps = {stage: np.array(us) for stage, us in self._laps_us.items()} | after
-        return {stage: quantiles(us) for stage, us in laps.items() if len(us)}
+        return quantiles(_rows(self._effective_s, 2)[:, int(wall)])
 
 
 class RunMetrics:
@@ -289,13 +277,13 @@ class RunMetrics:
         self.commands = ThrustCommands(vehicle)
         self.clock = ClockSpeed(speed)
         self.delays = PlanDelays()
-        self._receive: dict[type[Message], Callable[[Any, int, int, int], None]] = {
+        self._receive: dict[type[Message], Callable[[Any, int, int], None]] = {
             Truth: self._add_truth,
             FenceInForce: self.fence.add_fence,
             Estimate: self.track.add_estimate,
             Plan: self._add_plan,
             Applied: self._add_applied,
-            CycleTiming: self._add_timing,
+            CycleTiming: self.delays.add_timing,
             Clock: self.clock.add,
         }
 
@@ -304,33 +292,30 @@ class RunMetrics:
         """Types of the messages in use."""
         return frozenset(self._receive)
 
-    def observe(self, signal: Message, *, epoch: int, sequence: int, t_ns: int) -> None:
-        """Receive a message with its source's epoch, its sequence number, and its time of publication (vehicle ns)."""
+    def observe(self, signal: Message, *, epoch: int, sequence: int) -> None:
+        """Receive a message with its source's epoch and its sequence number."""
         receive = self._receive.get(type(signal))
         if receive is not None:
-            receive(signal, epoch, sequence, t_ns)
+            receive(signal, epoch, sequence)
 
     def _add_truth(self, truth: Truth, *_: int) -> None:
         self.track.add_truth(truth)
         self.fence.add_truth(truth)
         self.commands.add_truth(truth)
 
-    def _add_plan(self, plan: Plan, epoch: int, sequence: int, t_ns: int) -> None:
+    def _add_plan(self, plan: Plan, epoch: int, sequence: int) -> None:
         self.cycles += 1
         self.fence.add_plan(plan)
         self.qp_status[plan.solve.status.value] += 1
         self.plan_origin[plan.origin.value] += 1
         self.health[with_reason(plan.health.value, plan.health_why)] += 1
-        self.delays.add_plan(plan, epoch, sequence, t_ns)
+        self.delays.add_plan(plan, epoch, sequence)
         self.track.add_plan(plan)
 
     def _add_applied(self, applied: Applied, *_: int) -> None:
         self.commands.add(applied)
         self.deadline_misses, self.plans_refused = applied.plans_late, applied.plans_rejected
         self.delays.add_applied(applied, self.clock.speed)
-
-    def _add_timing(self, timing: CycleTiming, *_: int) -> None:
-        self.delays.add_timing(timing, self.clock.speed)
 
 
 def quantiles(values: Sequence[float] | Array) -> Quantiles:

@@ -90,7 +90,6 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     compute_delay_wall_s: Quantiles  # the same in wall time; null in lock step
     end_to_end_delay_s: Quantiles  # from an estimate's validity time to the effect of its plan
     end_to_end_delay_wall_s: Quantiles  # the same in wall time; null in lock step
-    stages_us: dict[str, Quantiles]  # wall time of each stage of a cycle, if measured
     deadline_misses: int  # plans that reached the plant after their start time
     plans_refused: int  # rejected by the actuators: thrust limit, slew limit or out of order
     qp_status: dict[str, int]  # number of plans by the status of their QP

@@ -5,11 +5,8 @@ from __future__ import annotations
 import pytest
 
 from benchmarks.fleet import trial
-from benchmarks.fleet.controllers import Controllers
 from benchmarks.fleet.fleet import Fleet, namespace
-from benchmarks.fleet.plants import Plants
 from services.supervisor.loopback import free_port
-from sim.evaluation.metrics import quantiles
 
 FLEET = Fleet(
     vehicles=3, vehicle="paper", rate_hz=5.0, seconds=10.0, warm_up_s=1.0, horizon_s=5.0, router="tcp/127.0.0.1:1"
@@ -22,34 +19,6 @@ def test_the_vehicles_estimates_are_spread_over_a_period_and_come_once_in_each()
     assert FLEET.due_ns(1, 2) - FLEET.due_ns(1, 1) == 200_000_000
     assert FLEET.due_ns(2, 0) - FLEET.due_ns(1, 0) == pytest.approx(200e6 / 3, abs=1)
     assert namespace(7) != namespace(70)
-
-
-def row(*, late: int = 0, plans: int = 150, mind_cpu_s: float = 1.0, world_cpu_s: float = 2.0, routed_s: float = 0.5):
-    one = Controllers(cycle_ms=quantiles([1.0, 2.0]), cpu_s=mind_cpu_s, rejected=1)
-    latency_ms = quantiles([5.0])
-    world = Plants(
-        estimates=150, plans=plans, late=late, refused=2, latency_ms=latency_ms, mean_error_m=0.1, cpu_s=world_cpu_s
-    )
-    return trial.row_of(FLEET, [one], world, routed_s, cores=2)
-
-
-@pytest.mark.parametrize(
-    ("figures", "limit"),
-    [
-        ({}, "none"),
-        ({"late": 5, "mind_cpu_s": 9.5}, "controllers"),
-        ({"plans": 140, "world_cpu_s": 9.9, "mind_cpu_s": 9.5}, "plants"),
-        ({"late": 5, "routed_s": 9.1}, "router"),
-        ({"late": 5, "mind_cpu_s": 8.0, "world_cpu_s": 8.0, "routed_s": 8.0}, "all cores"),
-        ({"late": 5}, "no full processor"),
-        ({"late": 1, "mind_cpu_s": 9.9}, "none"),
-    ],
-)
-def test_what_gives_way_is_the_process_that_has_no_more_to_give(figures, limit):
-    made = row(**figures)
-    assert made.limit == limit
-    assert made.controller_busy_per_vehicle == pytest.approx(figures.get("mind_cpu_s", 1.0) / 10.0 / 3)
-    assert made.rejected == 3
 
 
 def test_three_vehicles_are_held_each_on_its_own_keys_by_two_processes():

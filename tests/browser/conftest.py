@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import re
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
@@ -213,9 +213,9 @@ def background(page: Any) -> str:
     return shades.pop() if len(shades) == 1 else "mixed"
 
 
-def looks(page: Any) -> Iterator[tuple[tuple[int, int], str]]:
-    """Show an open page in each of ``LOOKS``, and check in each that everything fits."""
-    for size, scheme in LOOKS:
+def looks(page: Any, at: Sequence[tuple[tuple[int, int], str]] = LOOKS) -> Iterator[tuple[tuple[int, int], str]]:
+    """Show an open page in each look, and check in each that everything fits."""
+    for size, scheme in at:
         page.set_viewport_size({"width": size[0], "height": size[1]})
         page.emulate_media(color_scheme=scheme)
         until(lambda: page.evaluate(SETTLED))

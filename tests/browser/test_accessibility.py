@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from tests.browser.conftest import SCHEMES, SCREEN, background, ended, looks, tab
+from tests.browser.conftest import LOOKS, SCHEMES, SCREEN, background, ended, looks, tab
 from tests.services.dashboard.synthetic_vehicle import Served
 from tests.waiting import until
 
@@ -131,5 +131,5 @@ def test_text_of_twice_the_size_loses_nothing(large_letters, live, report, what)
     with opened(large_letters, what, live, report) as page:
         assert page.evaluate("getComputedStyle(document.querySelector('h1')).fontSize") == "32px"
         assert page.evaluate("getComputedStyle(document.querySelector('#plot-depth .xtitle')).fontSize") == "22px"
-        for _ in looks(page):
+        for _ in looks(page, LOOKS[-1:]):  # the narrowest
             assert page.locator(".panel h3").count() > 10

@@ -19,7 +19,7 @@ from services.dashboard.config import View
 from services.reporting.plots.catalogue import PLOTS
 from services.reporting.plots.description import NO_DATA, Group
 from services.supervisor import loopback
-from tests.browser.conftest import PHONE, POINTS, SCREEN, background, drawn, fits, looks, tab
+from tests.browser.conftest import LOOKS, PHONE, POINTS, SCREEN, background, drawn, fits, looks, tab
 from tests.services.dashboard.synthetic_vehicle import Served, serving
 from tests.services.reporting.synthetic_run import NODES, OFFSET, SPEED_NORTH_MPS, WRECK
 from tests.waiting import until
@@ -99,7 +99,7 @@ def test_without_the_token_the_page_is_read_only_and_it_connects_again_by_itself
 
 def test_the_live_page_shows_every_plot_and_the_state_at_the_first_look(live: Served, shown: Any) -> None:
     shows_every_plot(shown, "light")
-    until(lambda: live.views[-2:] == [View.OPENED, View.DRAWN])
+    assert live.views[-1] is View.SHOWN
     # The first look tells whether it is safe, and begins to tell whether it is on its line.
     assert bottom(shown, "#panel-status") < bottom(shown, "#panel-tracking") <= SCREEN[1]
     shown.evaluate(MANY_EVENTS)
@@ -149,7 +149,7 @@ def test_the_reader_can_look_back_and_return(shown: Any) -> None:
     north_m = OFFSET[0] + SPEED_NORTH_MPS * (then_s - age_s) + hull.length_m / 2
     until(lambda: hull_north_m(shown) == pytest.approx(north_m, abs=0.02))
     until(lambda: shown.evaluate("document.querySelector('#plot-depth').layout.shapes.length") == 1)
-    for _ in looks(shown):
+    for _ in looks(shown, LOOKS[-1:]):  # the narrowest
         assert shown.inner_text("#at") == f"t = {then_s:.1f} s"
         assert f"{then_s:.1f} s" in shown.inner_text("#facts")
     shown.click("#now")
@@ -174,13 +174,13 @@ def test_after_the_end_of_a_run_the_page_says_so_and_keeps_the_report(live, repo
     assert shown.locator("#finished a").count() == 0
     live.report.write_bytes(report.read_bytes())
     until(lambda: shown.locator("#finished a").count() == 1)
-    until(lambda: live.views[-1] is View.HAS_REPORT)
+    until(lambda: live.views[-1] is View.DONE)
     live.cut()
     until(lambda: shown.inner_text("#link") == "finished")
     shown.focus("#moment")
     shown.keyboard.press("Home")
     until(lambda: shown.inner_text("#at").startswith("t = "))
-    for _ in looks(shown):
+    for _ in looks(shown, LOOKS[1:]):
         assert shown.locator("#buttons button:enabled, [data-kill]:visible").count() == 0
         assert shown.locator("#finished a, #finished button").evaluate_all(IN_WINDOW) == 2
     opened: list[str] = []

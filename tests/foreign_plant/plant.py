@@ -125,6 +125,7 @@ class Actuators:
             "plan_sequence": plan["sequence"],
             "plan_cycle_t_ns": plan["cycle_t_ns"],
             "plan_received_t_ns": self._received_ns,
+            "plan_late": plan["sequence"] >= 0 and self._received_ns > plan["t_ns"][0],
             "plans_late": self.late,
             "plans_rejected": self.rejected,
         }

@@ -22,7 +22,7 @@ from ltv_mpc.config import to_toml
 from services.processes.checkpoint import Checkpoint
 from services.runtime.console import Console
 from services.supervisor import loopback
-from tests.foreign_plant.flight import HERE, HULL, Flight, distance_from_outline_m, farthest_m
+from tests.foreign_plant.flight import HERE, HULL, Flight, farthest_m
 from tests.foreign_plant.plant import SET_AT_S
 from tests.system.alone import CLI, Lines, started
 
@@ -80,9 +80,9 @@ SILENT_US = 750_000
 class RestartedFlight(Flight):
     """Flight whose controller has a checkpoint, and whose actuators follow one controller at a time."""
 
-    def __init__(self, folder: Path, *, reports: bool = True, resumes: bool = True) -> None:
-        super().__init__(reports=reports)
-        self._folder, self._resumes = folder, resumes
+    def __init__(self, folder: Path) -> None:
+        super().__init__(reports=False)
+        self._folder = folder
         self._commander, self._accepted_us = 0, -SILENT_US
         self.in_force_us: dict[int, int] = {}
         """Time of the first accepted plan of each controller, by its epoch."""
@@ -100,9 +100,8 @@ class RestartedFlight(Flight):
 
     def start(self) -> None:
         """Start a controller from the checkpoint."""
-        within_s = 60.0 if self._resumes else None
         console = Console("controller", out=io.StringIO())
-        self.checkpoint = Checkpoint(self._folder, to_toml(self.reference), resume_within_s=within_s, console=console)
+        self.checkpoint = Checkpoint(self._folder, to_toml(self.reference), resume_within_s=60.0, console=console)
         self.start_controller(self.checkpoint)
 
     def restart(self) -> float:
@@ -119,7 +118,7 @@ class RestartedFlight(Flight):
 
 def test_the_next_controller_continues_and_the_learned_current_is_not_learned_again(tmp_path: Path) -> None:
     """Without it the craft would be half a metre off once more: see the start of the hold. No thrust is reported."""
-    flight = RestartedFlight(tmp_path, reports=False)
+    flight = RestartedFlight(tmp_path)
     flight.fly(33.0)  # the newest state is some seconds old
     assert flight.restart() <= 5.0
     before, first = next(
@@ -129,35 +128,3 @@ def test_the_next_controller_continues_and_the_learned_current_is_not_learned_ag
     flight.fly(30.0)
     assert farthest_m(flight.track[1500:]) < 0.5
     assert flight.actuators.rejected == 0
-
-
-def test_a_controller_that_is_killed_on_a_square_leaves_its_outline_by_half_a_metre_at_most(tmp_path: Path) -> None:
-    flight = RestartedFlight(tmp_path)
-    flight.fly(30.0)
-    flight.follow_square()
-    flight.fly(40.0)
-    flight.restart()
-    assert distance_from_outline_m(flight.fly(40.0)).max() < 0.5
-
-
-def test_after_a_stop_it_stays_stopped(tmp_path: Path) -> None:
-    flight = RestartedFlight(tmp_path)
-    flight.fly(5.0)
-    flight.command(action="stop")
-    flight.fly(1.0)
-    flight.restart()
-    flight.fly(3.0)
-    assert {plan.authority for plan in flight.plans if flight.plans[-1].cycle_t_ns - plan.cycle_t_ns < 3 * 10**9} == {
-        "stopped"
-    }
-
-
-def test_without_resume_armed_it_drifts_until_arm_continues_the_reference(tmp_path: Path) -> None:
-    flight = RestartedFlight(tmp_path, resumes=False)
-    flight.fly(20.0)
-    flight.restart()
-    flight.fly(3.0)
-    assert flight.plans[-1].authority == "disarmed"
-    flight.command(action="arm")
-    flight.fly(1.0)
-    assert flight.plans[-1].authority == "controller"

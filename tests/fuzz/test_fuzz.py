@@ -1,4 +1,4 @@
-"""Ten thousand hostile frames for every reader of external data; ``make fuzz`` sends a million."""
+"""Five thousand hostile frames for every reader of external data; ``make fuzz`` sends a million."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 from tests.fuzz import campaign
 from tests.fuzz.targets import all_targets
 
-FRAMES = 10_000
+FRAMES = 5_000
 SEED = 1
 
 

@@ -15,6 +15,6 @@ def report(t_ns: int, thrust_N: Iterable[float], command_N: Iterable[float] | No
         "command_N": thrust if command_N is None else tuple(map(float, command_N)),
         "command_slew_N_per_s": (0.0, 0.0, 0.0),
         **{"plan_epoch": 0, "plan_sequence": -1, "plan_cycle_t_ns": 0, "plan_received_t_ns": 0},
-        **{"plans_late": 0, "plans_rejected": 0},
+        **{"plan_late": False, "plans_late": 0, "plans_rejected": 0},
     }
     return Applied(t_ns=t_ns, thrust_N=thrust, **{**made, **fields})

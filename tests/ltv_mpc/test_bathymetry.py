@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ltv_mpc.bathymetry import MAX_SOUNDINGS, Bathymetry, bathymetry_for
+from ltv_mpc.bathymetry import Bathymetry, bathymetry_for
 from ltv_mpc.control.config import MotionLimits
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.references import Line, Place, Point
@@ -77,11 +77,14 @@ def test_degrees_are_relative_to_the_origin_of_the_reference(tmp_path: Path) -> 
         (HEADER + "0,0,1\n\n0,1,-400\n1,0,1\n", "line 4 depth_m = -400: must be >= -100 and <= 11000"),
         (HEADER + "0,0,1\n0,1e7,4\n1,0,1\n", "line 3 east_m = 1e+07: must be >= -1e+06 and <= 1e+06"),
         (HEADER + "0,0,1\n1,1,1\n2,2,1\n", "needs three soundings that are not in one line"),
-        (HEADER + "0,0,1\n" * (MAX_SOUNDINGS + 1), f"has {MAX_SOUNDINGS + 1} rows: at most {MAX_SOUNDINGS}"),
+        (HEADER + "0,0,1\n" * 8, "has 8 rows: at most 7"),
     ],
     ids=lambda value: str(value)[:30],
 )
-def test_an_error_names_file_line_column_and_bound(tmp_path: Path, text: str, says: str) -> None:
+def test_an_error_names_file_line_column_and_bound(
+    tmp_path: Path, text: str, says: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("ltv_mpc.bathymetry.MAX_SOUNDINGS", 7)
     with pytest.raises(ConfigError, match=r"bathymetry .*bottom\.csv") as error:
         read(tmp_path, text)
     assert says in str(error.value)

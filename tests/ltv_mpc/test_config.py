@@ -19,6 +19,11 @@ from ltv_mpc.vehicle.parameters import Vehicle
 PAPER = (Path(config.__file__).parent / "vehicle" / "files" / "paper.toml").read_text()
 
 
+def paper(before: str, after: str) -> str:
+    """Return the paper's vehicle file with one other line."""
+    return PAPER.replace(before, after, 1)
+
+
 def refusal(text: str, kind: Any) -> str:
     with pytest.raises(ConfigError) as error:
         config.parse(tomllib.loads(text), kind, source="settings x.toml")
@@ -40,20 +45,12 @@ def refusal(text: str, kind: Any) -> str:
         (ControllerConfig, "[weights]\nthrst = 1", 'unknown key "thrst" in [weights]; did you mean "thrust"?'),
         (ControllerConfig, "[weights]\nthrust = -1", "[weights] thrust = -1: must be >= 0 and <= 1000000"),
         (ControllerConfig, "weights = 3", "weights = 3: must be a table with position_per_m2,"),
+        (Vehicle, paper("arm_m = 0.2", ""), 'key "arm_m" in [thruster.port] is missing: must be a number >= 0'),
+        (Vehicle, paper("min_N = -62.5", "min_N = 62.5"), "[thruster.port] min_N = 62.5: must be >= -1000000"),
+        (Vehicle, paper("[yaw]", "[yow]"), 'unknown key "yow"; did you mean "yaw"?'),
         (
             Vehicle,
-            PAPER.replace("arm_m = 0.2", "", 1),
-            'key "arm_m" in [thruster.port] is missing: must be a number >= 0',
-        ),
-        (
-            Vehicle,
-            PAPER.replace("min_N = -62.5", "min_N = 62.5", 1),
-            "[thruster.port] min_N = 62.5: must be >= -1000000",
-        ),
-        (Vehicle, PAPER.replace("[yaw]", "[yow]"), 'unknown key "yow"; did you mean "yaw"?'),
-        (
-            Vehicle,
-            PAPER.replace("[thruster.port]", "[thruster.port]\npwm_us = 3"),
+            paper("[thruster.port]", "[thruster.port]\npwm_us = 3"),
             "[thruster.port] pwm_us = 3: must be a list",
         ),
         (Reference, "", 'key "kind" is missing: must be "point" or "hold" or "line" or'),

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -22,7 +22,6 @@ def of_length(vector, length):
     return vector * (length / norm) if norm > 1e-3 else np.array([0.0, length, 0.0])
 
 
-@settings(deadline=None)  # the first example compiles
 @given(st.floats(-3.1, 3.1), st.floats(-1.5, 1.5), st.floats(-3.1, 3.1))
 def test_rotation_is_heading_then_pitch_then_roll(roll, pitch, heading):
     R = frames.rotation(roll, pitch, heading)
@@ -30,7 +29,6 @@ def test_rotation_is_heading_then_pitch_then_roll(roll, pitch, heading):
     np.testing.assert_allclose(frames.roll_pitch_heading(R), [roll, pitch, heading], atol=1e-12)
 
 
-@settings(deadline=None)  # the first example compiles
 @given(vectors, lengths)
 def test_exp_and_log_agree_with_scipy_and_with_each_other(vector, length):
     phi = of_length(vector, length)
@@ -47,13 +45,11 @@ def test_half_turns_have_a_logarithm():
         np.testing.assert_allclose(frames.rotation_exp(frames.rotation_log(R)), R, atol=2e-15)
 
 
-@settings(deadline=None)  # the first example compiles
 @given(vectors, vectors)
 def test_skew_is_the_cross_product(a, b):
     np.testing.assert_allclose(frames.skew(a) @ b, np.cross(a, b), atol=1e-15)
 
 
-@settings(deadline=None)  # the first example compiles
 @given(st.floats(-50.0, 50.0))
 def test_wrapped_angles_lie_within_half_a_turn_and_point_the_same_way(angle):
     wrapped = frames.wrap_angle(angle)

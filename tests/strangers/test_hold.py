@@ -13,8 +13,6 @@ ROWS = [
     #   vehicle           ahead  aside  current reports    noise   start
     (Row("low-yaw",       0.25,  0.0,   0.05,   False),            1),
     (Row("ellipsoid",     0.0,   0.25,  0.0,    False),            0),
-    (Row("catamaran",     0.15,  0.0,   0.0,    True),             1),
-    (Row("surface",      -0.25,  0.0,   0.0,    False),            2),
     (Row("light_boat",    0.0,   0.0,   0.0,    True,    0.3),     2),
 ]  # fmt: skip
 """Some of the worst rows of the matrix, and one with noise: they failed before the held point kept the direction of the

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import cmath
 import math
+from itertools import cycle
 
 import msgspec
 import pytest
@@ -52,8 +53,7 @@ SLIPS = {
 }
 
 
-@pytest.mark.parametrize("slip", SLIPS)
-@pytest.mark.parametrize("name", ["light_boat", "ellipsoid"])
+@pytest.mark.parametrize(("name", "slip"), list(zip(cycle(("ellipsoid", "light_boat")), SLIPS, strict=False)))
 def test_a_stranger_holds_its_point_with_rates_that_are_not_those_of_its_motion(name, slip):
     """Once 13 to 60 m off with most of them, and `nominal` for a third of the time."""
     pilot, conditions = Slipped(name, SLIPS[slip]), Conditions(current_mps=CURRENT_MPS, reports_s=0.0)

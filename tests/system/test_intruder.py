@@ -1,4 +1,7 @@
-"""A run under attack: the frames of an intruder are denied or rejected, counted, and never used by the vehicle."""
+"""A run under attack: the frames of an intruder are denied or rejected, counted, and never used by the vehicle.
+
+Ctrl-C then ends all of its processes, and leaves a recording and a summary.
+"""
 
 from __future__ import annotations
 
@@ -23,8 +26,10 @@ from services.bus.session import Session, open_session
 from services.bus.topics import BY_TYPE
 from services.bus.wire import decode
 from services.processes import router
+from services.recording import info
 from services.runtime.stopping import StopRequest
 from services.supervisor.entry_point import read_config
+from tests.procfs import alive, children_of
 from tests.waiting import PATIENCE_S, until
 
 CLI = [sys.executable, "-P", "-m", "services.cli"]
@@ -89,7 +94,9 @@ def killed(*command: str, **options: Any) -> Iterator[subprocess.Popen[Any]]:
 
 
 @pytest.mark.timeout(600)
-def test_ten_thousand_frames_of_an_intruder_reach_neither_plant_nor_controller(tmp_path: Path) -> None:
+def test_ten_thousand_frames_of_an_intruder_reach_neither_plant_nor_controller_and_ctrl_c_ends_the_run(
+    tmp_path: Path,
+) -> None:
     run, certs, foreign, log = (tmp_path / name for name in ("run", "certs", "foreign", "launcher.log"))
     certificates.make(certs, ROLES, days=1)
     certificates.make(foreign, ROLES, days=1)
@@ -118,8 +125,11 @@ def test_ten_thousand_frames_of_an_intruder_reach_neither_plant_nor_controller(t
             sent = json.loads(intruder.communicate()[0])
             assert intruder.returncode == 0
             until(lambda: ears.hear() or len(ears.taken) >= ENOUGH)
+        pids = children_of(launcher.pid)
+        assert len(pids) >= 7  # six, the guard, and who forks them
         launcher.send_signal(signal.SIGINT)
-        assert launcher.wait(PATIENCE_S) == 130
+        assert launcher.wait(PATIENCE_S) == 130  # after the summary of what there is
+        until(lambda: not any(alive(pid) for pid in pids))
     assert sent["denied"] + sent["refused"] + sent["connections"] > 10_000
 
     # What the plant's and the controller's steps were given, each frame once, comes from the run's own processes.
@@ -135,7 +145,12 @@ def test_ten_thousand_frames_of_an_intruder_reach_neither_plant_nor_controller(t
     assert len(ears.denied) <= len(str(sent["denied"] + sent["connections"])) + 1  # at 1, 10, 100, ... and at the end
     assert any(re.search(r"display may not put on \S+/plan", text) for text in ears.denied)
     assert "denied" in log.read_text()
-    counts = json.loads((run / "summary.json").read_text())["messages"]
+    found, summary = info.read([run / "run.mcap"]), json.loads((run / "summary.json").read_text())
+    assert found.whole
+    assert {key.key for key in found.keys} >= {"world/truth", "plan"}
+    assert summary["duration_s"] < 1000.0
+    assert "localisation" in log.read_text()
+    counts = summary["messages"]
     assert counts["denied"] >= sent["denied"]
     assert counts["rejected"] >= REFUSED  # the recorder rejects some of them too
     assert f"{counts['denied']} denied" in log.read_text()

@@ -57,9 +57,7 @@ class Errors:
 
     def published(self, node: str, message: ReceivedMessage) -> None:
         del node
-        self._metrics.observe(
-            message.message, epoch=message.epoch, sequence=message.sequence, t_ns=message.received_t_ns
-        )
+        self._metrics.observe(message.message, epoch=message.epoch, sequence=message.sequence)
 
 
 def descent(link: Any = None) -> tuple[float, float]:

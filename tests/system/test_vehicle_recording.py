@@ -39,18 +39,19 @@ def python(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, ...]:
 
 @pytest.fixture(scope="module")
 def recording(python: tuple[str, ...], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Record a flight of the craft; the recorder starts last but for the craft itself."""
+    """Record a flight of the craft, which starts last, behind a router that starts after those who wait for it."""
     place, cli = tmp_path_factory.mktemp("vehicle"), (*python, "-m", "services.cli")
     (place / "point.toml").write_text('kind = "point"\nnorth_m = 0.0\neast_m = 0.0\n')
     endpoint = f"tcp/127.0.0.1:{loopback.free_port()}"
     aboard = ("--vehicle", str(HULL), "--reference", str(place / "point.toml"), "--log-json")
+    recorder_of_run = (*cli, "recorder", "--connect", endpoint, "--out", str(place / "run"))
     with (
-        started(*cli, "router", "--listen", endpoint) as (_, router),
         started(*cli, "controller", "--connect", endpoint, *aboard) as (stops_first, controller),
+        started(*recorder_of_run) as (process, recorder),
     ):
-        router.until(lambda line: "ready at" in line)
-        controller.until(lambda line: "waiting for" in line, within_s=300.0)
-        with started(*cli, "recorder", "--connect", endpoint, "--out", str(place / "run")) as (process, recorder):
+        for lines in (controller, recorder):
+            lines.until(lambda line: f"`ltv-mpc router --listen {endpoint}` starts one" in line, within_s=300.0)
+        with started(*cli, "router", "--listen", endpoint) as (stops_last, _):
             recorder.until(lambda line: "waiting for an estimate" in line)
             with started(sys.executable, "-P", str(HERE / "plant.py"), endpoint) as (_, plant):
                 recorder.until(lambda line: "following the vehicle's own clock" in line)
@@ -58,10 +59,12 @@ def recording(python: tuple[str, ...], tmp_path_factory: pytest.TempPathFactory)
             told = {"note", "health", "authority", "source"}
             controller.until(lambda _: told <= {json.loads(line)["kind"] for line in controller.said})
             stops_first.terminate()
-            stops_first.wait(20.0)
+            assert stops_first.wait(20.0) == 0
             process.terminate()
             recorder.until(lambda line: "messages recorded, none lost" in line)
             assert process.wait(20.0) == 0
+            stops_last.terminate()
+            assert stops_last.wait(20.0) == 0
     return place / "run"
 
 

@@ -49,9 +49,6 @@ PENALTY = 5000.0
 CORRIDOR_PENALTY = 500.0
 """As ``PENALTY``, of an excess of the cross-track distance."""
 
-NEAR = 1.0
-"""Surplus over a required clearance, in units of S, up to which a QP has the rows."""
-
 
 class Scene(NamedTuple):
     """Zones and obstacles of one cycle, for compiled code."""
@@ -236,19 +233,6 @@ def from_box(zones: Zones, z: int, box: tuple[float, float, float, float]) -> fl
     """
     n, e, radius = zones.circle[z]
     return float(np.hypot(max(box[0] - n, n - box[2], 0.0), max(box[1] - e, e - box[3], 0.0)) - radius)
-
-
-def is_near(X: Array, scene: Scene, t: Array, scale_m: float) -> bool:
-    """Return True if a trajectory comes near to a zone, an obstacle or the edge of the corridor.
-
-    Parameters
-    ----------
-    X, scene, t, scale_m : as in ``fence_cost``.
-    """
-    spare_m = NEAR * scale_m
-    need, disc_need_m, width_m = scene.need + spare_m, scene.disc_need_m + spare_m, scene.half_width_m - spare_m
-    wide = scene._replace(need=need, disc_need_m=disc_need_m, half_width_m=width_m)
-    return bool(fence_cost(X, wide, t, scale_m) > 0.0)
 
 
 CORRIDOR_ROWS = 2

@@ -178,18 +178,3 @@ def optimality_error(p: Problem, z: Array, y: Array) -> float:
             worst = max(worst, error)
             total += value + dual
     return worst if np.isfinite(total) else np.inf
-
-
-def least_surplus(p: Problem, z: Array, first: int) -> float:
-    """Return by how much the rows from a number on are kept; negative: not all are.
-
-    Parameters
-    ----------
-    p : problem.
-    z : (N+1, n+m) inputs; the states follow from them.
-    first : number of the first row that counts.
-    """
-    own, g = z.copy(), p.low.copy()
-    roll_out(p, own)
-    row_values(p, own, g)
-    return float(np.minimum(g - p.low, p.high - g)[:, first:].min(initial=np.inf))

@@ -1,11 +1,11 @@
-"""Active-set method on a problem of stages: rows that are held, Riccati sweeps for the rest, and a line search.
+"""Active-set method on a problem of stages: rows that are held, and Riccati sweeps for the rest.
 
 A row g = b is held by a large weight: weight = RHO, linear = y - RHO b. Then y + RHO (g - b) is its dual. A soft row
 whose dual would be larger than its penalty is exceeded: weight = 0, linear = +-penalty. So a sweep minimises the
 augmented Lagrangian as long as no row changes its part: a row whose dual has the wrong sign is released, a violated one
-is held, one whose dual passes its penalty is exceeded. From the second sweep on, an exact line search ends where the
-augmented Lagrangian is least, which lets it fall with each sweep (a Newton method on a convex function that is
-quadratic in pieces; Hermans, Themelis & Patrinos 2019). If the last cycle's set is still right, one sweep is enough.
+is held, one whose dual passes its penalty is exceeded (a Newton method on a convex function that is quadratic in
+pieces; Hermans, Themelis & Patrinos 2019). If the last cycle's set is still right, one sweep is enough. Nothing keeps
+the method from going in circles: the interior point (interior_point.py) takes over after a few sweeps.
 
 Arguments of the kernels in this file:
 
@@ -40,10 +40,7 @@ HELD_ROW_TOLERANCE = 1e-7
 """Largest error of a row that is held. OSQP moves away from a guess with larger ones, and returns slowly."""
 
 MANY_WRONG = 12
-"""Wrong rows after the first sweep with which the method gives up: the interior point is faster from there."""
-
-MAX_NEWTON = 30
-"""Limit of Newton steps of a line search; it takes about five."""
+"""Wrong rows after a sweep with which the method gives up: the interior point is faster from there."""
 
 FAILED, NOT_CONVERGED, CONVERGED = -1, 0, 1
 """Outcome of a method: no usable result; nearly a solution; the solution."""
@@ -75,24 +72,15 @@ def active_set(p: Problem, work: Sweep, active: Array, max_sweeps: int, y: Array
     p, work, active, y : as at the head of this file; active and y are overwritten.
     max_sweeps : limit of sweeps.
     """
-    z, g = np.empty(work.z.shape), np.empty(work.g.shape)
     for sweeps in range(1, max_sweeps + 1):
         last = _hold(p, work, active, y)
         if not sweep(p, work, len(p.f) if sweeps == 1 else last):
             return FAILED, sweeps
         wrong = _update_active(p, work.g, y, active)
-        if wrong == 0:
-            if not _update_duals(work, y):
-                return CONVERGED, sweeps
-        elif sweeps == 1 and wrong > MANY_WRONG:
+        if wrong == 0 and not _update_duals(work, y):
+            return CONVERGED, sweeps
+        if wrong > MANY_WRONG:
             return NOT_CONVERGED, sweeps
-        step = 1.0
-        if sweeps > 1 and wrong > 0:
-            step = _step(p, work, z, g, y)
-        _move(z, work.z, step)
-        _move(g, work.g, step)
-        if step < 1.0:
-            _update_active(p, g, y, active)
     return NOT_CONVERGED, max_sweeps
 
 
@@ -151,52 +139,3 @@ def _update_duals(work: Sweep, y: Array) -> bool:
             largest = max(largest, abs(dual - y.flat[i]))
         y.flat[i] = dual
     return largest > RHO * HELD_ROW_TOLERANCE
-
-
-@jit
-def _step(p: Problem, work: Sweep, z: Array, g: Array, y: Array) -> float:
-    """Return the part of the way from z, g to the last sweep's at which the augmented Lagrangian is least: 1 at most.
-
-    Its slope along the way is linear in pieces and does not fall. Newton steps find its zero, kept between bounds.
-    """
-    curvature, end = 0.0, 0.0
-    for k in range(z.shape[0]):
-        for i in range(z.shape[1]):
-            d = work.z[k, i] - z[k, i]
-            if d != 0.0:
-                for j in range(z.shape[1]):
-                    curvature += d * p.H[k, i, j] * (work.z[k, j] - z[k, j])
-    for i in range(g.size):  # the sweep's model has no slope at its own end
-        end += (work.weight.flat[i] * work.g.flat[i] + work.linear.flat[i]) * (work.g.flat[i] - g.flat[i])
-    least, most, t = 0.0, 1.0, 1.0
-    for _ in range(MAX_NEWTON):
-        slope, rise = (t - 1.0) * curvature - end, curvature
-        for i in range(g.size):
-            d = work.g.flat[i] - g.flat[i]
-            value, cap = g.flat[i] + t * d, p.penalty.flat[i]
-            above, below = y.flat[i] + RHO * (value - p.high.flat[i]), y.flat[i] + RHO * (value - p.low.flat[i])
-            dual = above if above > 0.0 else min(below, 0.0)
-            if abs(dual) >= cap:
-                slope += np.sign(dual) * cap * d
-            elif dual != 0.0:
-                slope += dual * d
-                rise += RHO * d * d
-        if slope > 0.0:
-            most = t
-        else:
-            least = t
-        if least == 1.0:
-            return 1.0
-        before, t = t, t - slope / rise
-        if not least < t < most:
-            t = 0.5 * (least + most)
-        if abs(t - before) < 1e-9:
-            break
-    return t
-
-
-@jit
-def _move(point: Array, end: Array, step: float) -> None:
-    """Move a point by a part of the way to an end."""
-    for i in range(point.size):
-        point.flat[i] = end.flat[i] if step == 1.0 else point.flat[i] + step * (end.flat[i] - point.flat[i])

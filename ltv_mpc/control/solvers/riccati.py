@@ -17,11 +17,11 @@ from ltv_mpc.control.solvers.sweep import Sweep
 from ltv_mpc.jit import copy_to, jit
 from ltv_mpc.messages import Array
 
-FIRST_SWEEPS = 14
+FIRST_SWEEPS = 6
 """Limit of the active-set sweeps with the last solve's rows."""
 
 MAX_SWEEPS = 60
-"""Limit of sweeps. Rows that nearly depend on each other take 20 to 36, other problems seen at most 30."""
+"""Limit of sweeps; problems seen take at most 36."""
 
 NOT_ACTIVE = 1e-9
 """Magnitude below which a dual is zero up to rounding."""

@@ -22,14 +22,13 @@ from ltv_mpc.messages import (
     Plan,
 )
 from ltv_mpc.vehicle.parameters import Vehicle
-from services.edges.edge import Edge, LossCounter, Outgoing, Output, Received, Refused
+from services.edges.edge import AppliedReporter, Edge, LossCounter, Outgoing, Output, Received, Refused
 from services.edges.mavlink.actuation import Overrides
 from services.edges.mavlink.autopilot import AUTOPILOT, Autopilot
 from services.edges.mavlink.codec import COMPONENT, Codec, frames_of
 from services.edges.mavlink.download import ListRefused
 from services.edges.mavlink.mission import NOTICE, WARNING, MissionFollower
 from services.edges.mavlink.navigation import CONST_POSITION, MS, Accuracy, Navigation
-from services.edges.plan_follower import AppliedReporter
 
 INTERVALS_US = {"SYSTEM_TIME": (2, 1_000_000), "ATTITUDE": (30, 50_000), "LOCAL_POSITION_NED": (32, 100_000),
                 "MISSION_CURRENT": (42, 1_000_000), "GPS_GLOBAL_ORIGIN": (49, 1_000_000),
@@ -171,7 +170,8 @@ class MavlinkEdge(Edge):
 
     def _thrust(self, why: str, now_us: int) -> tuple[Array | None, str]:
         """Return the thrust (N), or None and why the edge does not drive, for which the autopilot may have a reason."""
-        authority = self.plans.authority
+        newest = self.plans.newest
+        authority = Authority.DISARMED if newest is None else newest.authority
         if not why and authority not in (Authority.CONTROLLER, Authority.MANUAL):
             why = f"controller {authority.value}; ltv-mpc ctl arm"
         thrust_N = None if why else self.plans.thrust_N(self.clock.read(now_us))

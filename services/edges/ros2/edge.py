@@ -19,8 +19,7 @@ from ltv_mpc.messages import (
     Obstacles,
     Plan,
 )
-from services.edges.edge import Edge, LossCounter, Outgoing, Output, Received, Refused
-from services.edges.plan_follower import AppliedReporter
+from services.edges.edge import AppliedReporter, Edge, LossCounter, Outgoing, Output, Received, Refused
 from services.edges.ros2 import cdr, conversions
 from services.edges.ros2.conversions import Settings
 from services.edges.ros2.middleware import Attachment
@@ -140,7 +139,7 @@ class Ros2Edge(Edge):
                 outputs.append(_reply(channel, False, "no reply from the controller within 3 s"))
         t_ns = self.clock.read(now_us)
         thrust_N = self.plans.thrust_N(t_ns)
-        if t_ns is not None and self.plans.has_plan:
+        if t_ns is not None and self.plans.newest is not None:
             outputs += self._thrusts(ZERO if thrust_N is None else thrust_N, t_ns)
         return [*outputs, *self._applied.report(self.plans, thrust_N, t_ns)]
 

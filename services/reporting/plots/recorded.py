@@ -44,7 +44,7 @@ def read(recording: Path, *, rows: int = ROWS) -> PlotData:
 
     Only accepted messages are shown (``Acceptance``). Raises ``ConfigError`` if the file is not a recording.
     """
-    parts = Recording(*segments(recording), past_losses=True)
+    parts = Recording(*segments(recording))
     shown: dict[tuple[type[Message], int], Samples] = {}  # by type and source: each source has rows of its own
 
     def passes(stored: StoredMessage, header: Header) -> bool:

@@ -217,7 +217,7 @@ def metrics() -> dict[str, Type]:
 
 EXCLUDED_METRICS = frozenset(
     {
-        "seed", "speed", "speed_reached", "compute_delay_wall_s", "end_to_end_delay_wall_s", "stages_us", "qp_status",
+        "seed", "speed", "speed_reached", "compute_delay_wall_s", "end_to_end_delay_wall_s", "qp_status",
         "plan_origin", "health", "fence",
     }
 )  # fmt: skip

@@ -30,15 +30,15 @@ def cycles() -> list[Cycle]:
     """Return over 200 problems of closed loops: descents, one from 2 m off with a wrong heading."""
     seen: list[Cycle] = []
     config = ResolvedConfig(horizon_s=5.1, weights=Weights())  # as the solvers that get these problems
-    run_solver = LateralPlanner._run_solver
+    solve_qp = LateralPlanner._solve_qp
 
-    def remembered(self, problem, shift, *, last):  # type: ignore[no-untyped-def]
+    def remembered(self, shift, *, last):  # type: ignore[no-untyped-def]
         copied = Linearisation(*map(np.copy, self._cycle.lin))  # the controller's own is used again
         seen.append(Cycle(Form(config.knots), copied, np.array(self.target), shift))
-        return run_solver(self, problem, shift, last=last)
+        return solve_qp(self, shift, last=last)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(LateralPlanner, "_run_solver", remembered)
+        patch.setattr(LateralPlanner, "_solve_qp", remembered)
         for seed, start in ((1, {}), (2, {}), (3, {"north_m": 2.0, "heading_rad": 3.0})):
             descend(seed, 70, ControllerConfig(horizon_s=5.1), **start)
     return seen

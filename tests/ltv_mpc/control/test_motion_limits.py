@@ -181,7 +181,7 @@ def surge_and_distance(limits: MotionLimits) -> tuple[np.ndarray, float]:
     flight = Flight(heading_rad=-math.pi / 2, config=ControllerConfig(limits=limits), armed=True)
     flight.fly(0.5)
     flight.follow_square()
-    track = flight.fly(60.0)
+    track = flight.fly(40.0)
     surge = np.array([plan.states[0, 2] for plan in flight.plans if plan.progress is not None])
     return surge[np.argmax(surge > 0.1) :], float(distance_from_outline_m(track).mean())
 

@@ -87,7 +87,7 @@ def test_the_pattern_of_a_problem_is_that_of_the_vehicle_whatever_was_learned_be
     for learned in (0.0, 20.0):
         constants = Constants.of(even, CONFIG.weights, CONFIG.knots)
         cycle = Cycle(constants._replace(p=np.array(even.coefficients()._replace(added_munk=learned))), scene())
-        full = cycle.full_problem(cycle.plain)
+        full = cycle.full_problem()
         patterns.append([np.asarray(values) != 0.0 for values in full])
         assert coefficients(cycle.constants.p).added_munk == learned
     for one, other in zip(*patterns, strict=True):

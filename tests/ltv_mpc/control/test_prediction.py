@@ -253,13 +253,12 @@ def drawn(t_ns: int, covariance: np.ndarray | None, current_sd: float) -> float:
     return float(np.sqrt(places.var(axis=0).sum()))
 
 
-@pytest.mark.parametrize("seconds", [2, 6])
 @pytest.mark.parametrize(
     ("covariance", "bias"),
     [(None, NEVER), (CORRELATED, NEVER), (None, learning()), (CORRELATED, learning())],
 )
-def test_the_growth_is_that_of_draws(covariance, bias, seconds):
-    estimate = msgspec.structs.replace(MOVING, covariance=covariance)
+def test_the_growth_is_that_of_draws(covariance, bias):
+    estimate, seconds = msgspec.structs.replace(MOVING, covariance=covariance), 6
     growth = growth_m(pushed(), estimate, seconds * S, bias.covariance_of_mean(seconds))
     at_first = 0.0 if covariance is None else float(np.hypot(*SD[:2]))
     current_sd = 0.0 if bias is NEVER else float(np.sqrt(bias.covariance_of_mean(seconds)[0, 0]))

@@ -62,7 +62,7 @@ class CountingRouter(Router):
 
 
 def test_a_report_of_a_standing_obstacle_visits_the_path_near_it_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of 10,000 waypoints as of 100. Far from the obstacle the columns are those of the path, later by the detour."""
+    """Of 3,000 waypoints as of 100. Far from the obstacle the columns are those of the path, later by the detour."""
     visits = []
 
     def counted(zones: Zones, need: Array, points: Array) -> Any:
@@ -77,7 +77,7 @@ def test_a_report_of_a_standing_obstacle_visits_the_path_near_it_alone(monkeypat
     monkeypatch.setattr(allowed_path_module, "are_clear", counted)
     monkeypatch.setattr(allowed_path_module, "Router", CountingRouter)
     searches = []
-    for count in (100, 10_000):
+    for count in (100, 3_000):
         places = tuple(Place(north_m=4.0 * k, east_m=0.5 * (k % 2)) for k in range(count))
         before, routes = Waypoints(waypoints=places, speed_mps=0.3).schedule(PAPER), Routes()
         routes.set_zones(discs((-100.0, 0.0, 5.0)), np.ones(1))

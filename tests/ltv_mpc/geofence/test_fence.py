@@ -144,6 +144,7 @@ SWAPPED = [[[60.39, 5.32], [60.39, 5.33], [60.4, 5.33], [60.39, 5.32]]]
 FLAT = [[[5.32, 60.39], [5.33, 60.39], [5.32, 60.39], [5.32, 60.39]]]
 FAR = [[square()], [square(north_deg=1e300)]]
 SQUARES = [[square(0.004 * k)] for k in range(101)]
+SYDNEY = [-33.8, 151.2]
 OPEN = [[[5, 60], [5, 61], [6, 61], [6, 60]]]
 MANY = [[[5.32 + 0.001 * math.cos(k % 501), 60.39 + 0.001 * math.sin(k % 501)] for k in range(502)]]
 
@@ -151,43 +152,29 @@ MANY = [[[5.32 + 0.001 * math.cos(k % 501), 60.39 + 0.001 * math.sin(k % 501)] f
 @pytest.mark.parametrize(
     ("third", "message"),
     [
-        ({}, r"features\[2\]: must be a Feature"),
-        (
-            feature("moat", "Point"),
-            r"features\[2\].properties.zone = .moat.: must be one of keep_in, keep_out, keep_out_",
-        ),
-        (feature([], "Polygon"), r"features\[2\].properties.zone"),
-        (feature("keep_in", "Point"), r"features\[2\].geometry.type = .Point.: must be .Polygon. for keep_in"),
-        (feature("keep_in", "Polygon", OPEN), r"features\[2\].geometry: is no geometry .*not form a closed"),
-        (
-            feature("keep_in", "Polygon", FLAT),
-            r"features\[2\].vertices = .*: must be a list of at least 3 and at most 500",
-        ),
-        (
-            feature("keep_in", "Polygon", [4 * [[5.32, 60.39]]]),
-            r"features\[2\].geometry.* at least 3 different positions",
-        ),
-        (
-            feature("keep_in", "MultiPolygon", FAR),
-            r"features\[2\].geometry: must be longitude and latitude in degrees, at most 360",
-        ),
-        (feature("keep_in", "Polygon", MANY), r"features\[2\].vertices.* at most 500"),
-        (
-            feature("keep_in", "Polygon", SWAPPED),
-            r"features\[2\]: vertices\[0\]: .* from the origin; positions are \[long",
-        ),
-        (
-            feature("keep_out_disc", "Point", [-33.8, 151.2], radius_m=3.0),
-            r"features\[2\].centre.latitude_deg = 151.2: .*; positions are",
-        ),
-        (feature("keep_out", "MultiPolygon", SQUARES), r"keep_out = .*: must be a list of at most 100, each"),
+        ({}, ": must be a Feature"),
+        (feature("moat", "Point"), ".properties.zone = .moat.: must be one of keep_in, keep_out, keep_out_"),
+        (feature([], "Polygon"), ".properties.zone"),
+        (feature("keep_in", "Point"), ".geometry.type = .Point.: must be .Polygon. for keep_in"),
+        (feature("keep_in", "Polygon", OPEN), ".geometry: is no geometry .*not form a closed"),
+        (feature("keep_in", "Polygon", FLAT), ".vertices = .*: must be a list of at least 3 and at most 500"),
+        (feature("keep_in", "Polygon", [4 * [[5.32, 60.39]]]), ".geometry.* at least 3 different positions"),
+        (feature("keep_in", "MultiPolygon", FAR), ".geometry: must be longitude and latitude in degrees, at most 360"),
+        (feature("keep_in", "Polygon", MANY), ".vertices.* at most 500"),
+        (feature("keep_in", "Polygon", SWAPPED), r": vertices\[0\]: .* from the origin; positions are \[long"),
+        (feature("keep_out_disc", "Point", SYDNEY, radius_m=3.0), ".centre.latitude_deg = 151.2: .*; positions are"),
     ],
 )
 def test_an_error_about_a_zone_of_geojson_names_the_feature(third: object, message: str) -> None:
     """The faulty feature is the third, and the second one that is to be kept in."""
     before = feature("keep_out_disc", "Point", radius_m=3.0), feature("keep_in", "Polygon", name="keep_in[7]")
-    with pytest.raises(ConfigError, match=message):
+    with pytest.raises(ConfigError, match=rf"features\[2\]{message}"):
         Fence.from_geojson(collection(*before, third))
+
+
+def test_too_many_zones_are_refused_by_their_kind() -> None:
+    with pytest.raises(ConfigError, match=r"keep_out = .*: must be a list of at most 100, each"):
+        Fence.from_geojson(collection(feature("keep_out", "MultiPolygon", SQUARES)))
 
 
 @pytest.mark.parametrize(

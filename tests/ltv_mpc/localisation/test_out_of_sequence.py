@@ -84,8 +84,7 @@ def scattered(seed):
 
 FROM_THE_START = {GnssFix: 400_000_000, TdcpFix: 450_000_000, CompassHeading: 300_000_000, PressureDepth: 20_000_000}
 LATENCIES = {
-    "scattered 0": scattered(0),
-    "scattered 1": scattered(1),
+    "scattered": scattered(0),
     "from the start": lambda m: FROM_THE_START.get(type(m), 0),
 }
 

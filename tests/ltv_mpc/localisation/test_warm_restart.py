@@ -1,6 +1,7 @@
 """Warm restart: a filter continues from a checkpoint, and its covariance covers the gap."""
 
 import math
+from functools import partial
 
 import numpy as np
 import pytest
@@ -16,15 +17,14 @@ from ltv_mpc.localisation.warm_restart import WarmRestart
 from ltv_mpc.messages import Estimate, EstimatorState, FilterStatus, ImuSample, PressureDepth
 from services.bus.wire import Header, decode, encode
 from tests.ltv_mpc.localisation.dives import CONFIG as SHIPPED
-from tests.ltv_mpc.localisation.dives import PAPER, REALISTIC, Dive, Run, S, dive, normalised
+from tests.ltv_mpc.localisation.dives import PAPER, REALISTIC, Run, S, dive, normalised
 
 CONFIG = replace(SHIPPED, deepest_m=60.0, kept_m=0.0)
 GAP_NS = 3 * S
 
 
-def the_dive() -> Dive:
-    """Return the dive of this file: made once, and not where only its tests are collected."""
-    return dive(REALISTIC, 4, duration_s=20.0)
+the_dive = partial(dive, REALISTIC, 4, duration_s=20.0)
+"""The dive of this file: made once, and not where only its tests are collected."""
 
 
 @pytest.fixture(scope="module")

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from itertools import pairwise
 
 import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc import Controller, CurrentProfile, Estimate, Vehicle, advance, references
-from ltv_mpc.references import Hold, Line, Place, Point, Reference, Timed, Waypoints
+from ltv_mpc import Controller, CurrentProfile, Estimate, Vehicle, advance
+from ltv_mpc.references import Hold, Line, Place, Point, Reference, Timed
 from ltv_mpc.references.follower import MAX_STEP_S, Follower
 from ltv_mpc.references.limits import path_limits
 
@@ -192,26 +191,6 @@ def test_a_restriction_that_changes_while_the_target_rests_keeps_its_stay():
     assert at[25.0] == pytest.approx((3.0, 0.0))
     assert at[99.5] == pytest.approx((6.0, 0.0))
     assert at[120.0] == pytest.approx((9.0, 0.0))
-
-
-def test_references_are_replaced_live_without_a_jump_beyond_the_slew_limit():
-    controller = Controller(PAPER, Point(north_m=0.0, east_m=0.0))
-    estimate, plans = Estimate.at_rest(depth_m=0.0, heading_rad=1.0), []
-    places = (Place(north_m=5.0, east_m=5.0), Place(north_m=-5.0, east_m=5.0))
-    for reference in (LINE, Waypoints(speed_mps=1.0, waypoints=places), Hold(), references.load("circle"), Hold()):
-        controller.follow(reference)
-        for _ in range(25):
-            plan = controller.plan(estimate)
-            plans.append(plan)
-            estimate = advance(PAPER, estimate, plan, duration_s=0.3)
-    slew = np.array([thruster.slew_N_per_s for thruster in PAPER.thrusters])
-    for before, after in pairwise(plans):
-        np.testing.assert_allclose(after.thrust_N[0], before.thrust_at(int(after.t_ns[0])), atol=1e-9)
-    for plan in plans:
-        change = np.abs(np.diff(plan.thrust_N, axis=0)) / (np.diff(plan.t_ns)[:, None] * 1e-9)
-        assert (change <= slew + 1e-6).all()
-    assert plans[-1].progress is None
-    assert {plan.origin.value for plan in plans} == {"solved"}
 
 
 def test_ahead_the_vehicle_is_on_the_line_to_its_point_as_early_as_possible():

@@ -171,35 +171,28 @@ def test_what_a_file_holds_beside_its_path_is_a_note(tmp_path: Path) -> None:
         assert len(notes) == 1 + (name == "m.json")
 
 
-ELSEWHERE = "50.2 -5 0"
+GOES, STAYS = "3 16 0 0 0 0 50.2 -5 0", "3 17 0 0 0 0 50.2 -5 0"
+"""Waypoints elsewhere, without and with an end of the mission."""
 
 
 @pytest.mark.parametrize(
     ("name", "text", "says"),
     [
+        ("m.waypoints", mission(STAYS, GOES), "item 2 MAV_CMD_NAV_WAYPOINT (16) follows an item without an end"),
         (
             "m.waypoints",
-            mission(f"3 17 0 0 0 0 {ELSEWHERE}", f"3 16 0 0 0 0 {ELSEWHERE}"),
-            "item 2 MAV_CMD_NAV_WAYPOINT (16) follows an item without an end",
-        ),
-        (
-            "m.waypoints",
-            mission(f"3 16 0 0 0 0 {ELSEWHERE}", "3 178 1 0 -1 0 0 0 0", "3 21 0 0 0 0 0 0 0"),
+            mission(GOES, "3 178 1 0 -1 0 0 0 0", "3 21 0 0 0 0 0 0 0"),
             "item 2 MAV_CMD_DO_CHANGE_SPEED (178) speed 0 m/s must be above 0, and finite; "
             "item 3 MAV_CMD_NAV_LAND (21)",
         ),
         ("m.waypoints", mission("3 93 5 0 0 0 0 0 0"), "item 1 MAV_CMD_NAV_DELAY (93) has no place before it"),
         ("m.waypoints", "QGC WPL 120\n", "line 1 = "),
         ("m.waypoints", mission("3 16 0 0 0 0 50.2 -5"), "line 3 = "),
-        ("m.waypoints", mission(f"3 16.7 0 0 0 0 {ELSEWHERE}"), "line 3 = "),
+        ("m.waypoints", mission(GOES.replace("16", "16.7")), "line 3 = "),
         ("m.waypoints", mission("3 16 0 0 0 0 50.2 inf 0"), "item 1 MAV_CMD_NAV_WAYPOINT (16) latitude_deg = 50.2"),
         ("m.waypoints", mission(), "has no path and no point"),
         ("m.plan", "{", "is not a JSON object"),
-        (
-            "m.waypoints",
-            mission().replace("0 0 0 16", "0 0 0 16", 1) + "\n0 0 3 16 0 0 0 0 50.2 -5 0 1",
-            "item 0: has its number 2 times",
-        ),
+        ("m.waypoints", mission() + f"\n0 0 {GOES} 1", "item 0: has its number 2 times"),
         ("m.plan", "{}", 'key "mission" is missing: must be a table with items, plannedHomePosition'),
         ("m.plan", '{"version": 99, "mission": {"items": []}}', "version = 99: must be 1"),
         ("m.plan", '{"fileType": "Mission", "mission": {"items": []}}', 'fileType = "Mission": must be "Plan"'),

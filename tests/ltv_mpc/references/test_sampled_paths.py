@@ -12,7 +12,6 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from ltv_mpc import Controller, Estimate, advance
 from ltv_mpc.messages import Array, ReferenceStart
 from ltv_mpc.references import Circle, Lawnmower, Line, Place, Reference, Timed, Waypoints
 from ltv_mpc.references.leg_fit import fit_legs
@@ -57,9 +56,7 @@ def off_curve_m(curve: Array, points: Array) -> float:
     return float(cKDTree(samples(curve, 20_000)).query(points)[0].max())
 
 
-@pytest.mark.parametrize(
-    ("radius_m", "count"), [(1.0, 24), (3.0, 90), (1.0, 359), (3.0, 361), (1.0, 720), (3.0, 20_000)]
-)
+@pytest.mark.parametrize(("radius_m", "count"), [(1.0, 24), (3.0, 90), (1.0, 359), (3.0, 20_000)])
 def test_a_circle_of_waypoints_takes_as_long_as_the_circle(radius_m, count):
     circle = Circle(centre=HERE, radius_m=radius_m, speed_mps=2.0).schedule(SURFACE)
     points = samples(CURVES["circle"] * radius_m / 3.0, count)
@@ -69,9 +66,8 @@ def test_a_circle_of_waypoints_takes_as_long_as_the_circle(radius_m, count):
 @pytest.mark.parametrize(
     ("curve", "count"),
     [
-        *(("circle", 20_000), ("circle", 361), ("figure of eight", 2_000), ("random curve", 361), ("lawnmower", 2_000)),
-        *(("circle", 24), ("figure of eight", 24), ("random curve", 24), ("lawnmower", 24)),
-        *(("figure of eight", 60), ("random curve", 48), ("lawnmower", 90)),
+        *(("circle", 361), ("figure of eight", 2_000), ("random curve", 361), ("lawnmower", 2_000)),
+        *(("circle", 24), ("figure of eight", 24), ("random curve", 24), ("lawnmower", 90)),
     ],
 )
 def test_lap_time_and_path_do_not_depend_on_noise_and_number_of_points(curve, count):
@@ -116,22 +112,6 @@ def test_a_corner_and_a_goal_that_are_doubled_within_centimetres_are_one(beside)
     doubled = waypoints(np.insert(corners, [2, 3], corners[[1, 2]] + beside, axis=0), 0.4)
     assert doubled.schedule(PAPER).duration_s == pytest.approx(once.duration_s, rel=0.01)
     assert off_curve_m(once.table[[NORTH, EAST]].T, doubled.path().points) < 0.07
-
-
-def off_circle_m(reference: Reference, radius_m: float) -> float:
-    """Largest distance from the circle that the nominal vehicle flies along it."""
-    controller, off = Controller(SURFACE, reference), 0.0
-    estimate = Estimate.at_rest(north_m=radius_m, heading_rad=0.5 * math.pi, depth_m=None)
-    for _ in range(75):
-        estimate = advance(SURFACE, estimate, controller.plan(estimate), duration_s=0.3)
-        off = max(off, abs(math.hypot(estimate.north_m, estimate.east_m) - radius_m))
-    return off
-
-
-@pytest.mark.parametrize(("count", "noise_m"), [(24, 0.0), (20_000, NOISE_M)])
-def test_a_circle_of_waypoints_is_flown_as_closely_as_the_circle(count, noise_m):
-    circle = off_circle_m(Circle(centre=HERE, radius_m=3.0, speed_mps=2.0), 3.0)
-    assert off_circle_m(waypoints(samples(CURVES["circle"], count, noise_m), 2.0), 3.0) < 1.2 * circle
 
 
 def test_noise_and_the_steps_of_a_grid_planner_do_not_slow_the_vehicle_down():

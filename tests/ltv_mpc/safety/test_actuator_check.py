@@ -21,7 +21,6 @@ from tests.ltv_mpc.estimates import moving, water
 from tests.ltv_mpc.reports import report
 from tests.ltv_mpc.vehicles import changed
 
-PAPER = Vehicle.load("paper")
 BOAT = Vehicle.load("bluerobotics-boat")
 STEP_NS = 50_000_000
 AWAY_S = 25.0
@@ -137,10 +136,9 @@ class Release:
         return np.zeros(3) if released else command_N
 
 
-@pytest.mark.parametrize(("current", "settings"), [((0.0, 0.0), {}), (CURRENT, {"names_plans": False})], ids=str)
-def test_released_thrusters_are_noticed_and_teach_no_current(current, settings):
+def test_released_thrusters_are_noticed_and_teach_no_current():
     release, beliefs = Release(), []
-    loop = Loop(current, release, **settings)
+    loop = Loop(CURRENT, release, names_plans=False)
     observer, update = loop.controller.observer, loop.controller.vehicle_file_check.update
 
     def watched(t_ns, *args, **options):
@@ -155,7 +153,7 @@ def test_released_thrusters_are_noticed_and_teach_no_current(current, settings):
     assert np.diff(degraded).max() < 1.2  # it does not toggle
     before = max((c for c in cycles if c.t_s < release.at_s), key=lambda c: c.t_s).learned_mps
     assert max(abs(c.learned_mps - before).max() for c in cycles if release.at_s <= c.t_s < degraded[-1]) <= 0.05
-    assert max(abs(c.learned_mps - current).max() for c in cycles if c.t_s > degraded[-1] + 10.0) <= 0.05
+    assert max(abs(c.learned_mps - CURRENT).max() for c in cycles if c.t_s > degraded[-1] + 10.0) <= 0.05
     back_m = np.array([np.hypot(*cycle.place_m) for cycle in cycles if cycle.t_s > degraded[-1]])
     assert back_m[np.argmax(back_m < 0.3) :].max() <= 0.3
     assert back_m[-1] < 0.1
@@ -180,22 +178,6 @@ def test_a_report_that_says_why_no_plan_is_followed_degrades_until_it_ends():
         check.add(msgspec.structs.replace(given, t_ns=plan.t_ns[0] + at_ns * 1_000_000, why=why))
         assert check.health == (HealthState(Health.DEGRADED, f"not driving: {why}") if why else NOMINAL)
         assert check.learns is (at_ns in (100, 1000))  # and half a second of agreement later
-
-
-WRONG = {
-    "half": lambda command_N: 0.5 * command_N,
-    "swapped sign": lambda command_N: -command_N,
-    "one side": lambda command_N: command_N * [1.0, 0.0, 0.0],
-}
-
-
-@pytest.mark.parametrize("wrong", WRONG.values(), ids=WRONG)
-def test_commands_that_differ_from_the_plan_are_noticed(wrong):
-    def delivered(truth, command_N):
-        return wrong(command_N) if truth.t_ns >= 3e9 else command_N
-
-    degraded = degraded_s(Loop(delivered=delivered).run(9.0))
-    assert 4.0 < degraded[0] <= 4.5
 
 
 @pytest.mark.parametrize(
@@ -231,15 +213,13 @@ def test_a_clock_that_is_set_back_ends_a_contradiction():
 
 LEGAL = (
     {"report_late_s": 1.0},
-    {"plan_delay_s": 0.9, "names_plans": False},
     {"plan_delay_s": 0.8, "names_plans": False, "config": ControllerConfig(horizon_s=2.1)},
     {"names_plans": False, "config": ControllerConfig(period_s=1.0)},
     {"report_s": 1.0},
-    {"vehicle": PAPER},
 )
 
 
-@pytest.mark.parametrize(("settings", "reference"), [*zip(LEGAL, 3 * (LINE, POINT), strict=True)], ids=str)
+@pytest.mark.parametrize(("settings", "reference"), [*zip(LEGAL, 2 * (LINE, POINT), strict=True)], ids=str)
 def test_late_reports_and_late_plans_are_no_contradiction(settings, reference):
     assert degraded_s(Loop(CURRENT, start_m=(15.0, 3.0), reference=reference, **settings).run(40.0)) == []
 

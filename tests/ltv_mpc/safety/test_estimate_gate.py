@@ -7,7 +7,7 @@ import math
 import msgspec
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from ltv_mpc.messages import Estimate
@@ -38,7 +38,6 @@ def test_bounds_are_those_of_the_paper_s_vehicle_by_hand():
     assert bounds.sinking_mps == pytest.approx(2 * math.sqrt(93 / 800) + 1.0)
 
 
-@settings(max_examples=30, deadline=None)
 @given(st.floats(0, 1e3), st.floats(0, 1e3), st.floats(1e-3, 1e3))
 def test_at_the_steady_speed_damping_balances_the_force(force, linear, quadratic):
     v = steady_speed(force, linear, quadratic)

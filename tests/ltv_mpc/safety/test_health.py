@@ -7,7 +7,7 @@ import pytest
 from ltv_mpc import config
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.safety.health import NOMINAL, WORST_FIRST, Ages, HealthState, health, plan_health, report_health, worst
+from ltv_mpc.safety.health import NOMINAL, WORST_FIRST, Ages, HealthState, health, report_health, worst
 
 MS = 1_000_000
 
@@ -38,24 +38,6 @@ def test_each_threshold_is_the_larger_of_its_seconds_and_its_periods(age_ms, per
     state = health(age_ns=age_ns, period_ns=period_ms * MS)
     assert state.health == word
     assert (state.why == "") == (word == "nominal")
-
-
-@pytest.mark.parametrize(
-    ("silent_ms", "period_ms", "left_ms", "word"),
-    [
-        (None, 0, -1, "degraded"),
-        (0, 0, 0, "nominal"),
-        (500, 0, 1, "nominal"),
-        (500.000001, 0, 1, "degraded"),
-        (750, 300, 1, "nominal"),
-        (750.000001, 300, 1, "degraded"),
-        (1775, 710, 1, "nominal"),  # the paper's delay
-        (10, 300, -0.000001, "failsafe"),
-    ],
-)
-def test_plans_are_nominal_until_two_replacements_are_missing(silent_ms, period_ms, left_ms, word):
-    silent_ns = None if silent_ms is None else round(silent_ms * MS)
-    assert plan_health(silent_ns=silent_ns, period_ns=period_ms * MS, left_ns=round(left_ms * MS)) == word
 
 
 def test_missing_reports_degrade_only_after_a_first_one():

@@ -35,8 +35,8 @@ def checked(t_ns, x, w, sd=(0.0, 0.0)) -> tuple[KinematicFilter, list[tuple[np.n
     return check, found
 
 
-@pytest.mark.parametrize("period_s", [0.02, 0.1, 0.3, 1.0])
-@pytest.mark.parametrize("noise_m", [0.0, 0.01, 0.3, 2.0])
+@pytest.mark.parametrize("period_s", [0.02, 0.3, 1.0])
+@pytest.mark.parametrize("noise_m", [0.0, 0.3, 2.0])
 def test_right_rates_are_believed_whatever_the_noise_of_the_positions(period_s, noise_m):
     rng = np.random.default_rng(3)
     t_ns, x, w = track(round(90.0 / period_s), period_s)

@@ -73,7 +73,7 @@ def estimate(t_s: float, state, arm_m: float = 0.0) -> Estimate:
 WRONG = {"mass": 2.0, "drag": 0.5}
 
 
-@pytest.mark.parametrize("late_s", [0.5, 0.75, 1.0])
+@pytest.mark.parametrize("late_s", [0.5, 1.0])
 @pytest.mark.parametrize("true", [{}, WRONG, {"port": 0.5}, {"wind_mps2": 0.1}])
 def test_a_delay_is_found_within_30_s_whatever_the_vehicle_is(late_s, true):
     fit = fitted(late_s, seconds=30.0, **true)

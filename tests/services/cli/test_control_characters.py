@@ -92,7 +92,7 @@ def test_a_screen_shows_no_control_character_and_no_markup_of_a_message(plain, m
     for period in ("REDRAW_S", "LINE_S"):
         monkeypatch.setattr(f"services.reporting.terminal.{period}", 0.0)
     out = io.StringIO()
-    screen = RunScreen(HOSTILE, [], RichConsole(file=out, width=200, height=24, force_terminal=True))
+    screen = RunScreen(HOSTILE, None, RichConsole(file=out, width=200, height=24, force_terminal=True))
     screen.wait(HOSTILE, 0.5)
     screen.say(HOSTILE)
     screen.update(view)
@@ -111,7 +111,7 @@ def test_a_bar_and_a_screen_draw_on_a_terminal_with_their_own_control_characters
         monkeypatch.delenv(variable, raising=False)
     with progress_bar("reading") as show:
         show(0.5)
-    screen = RunScreen("a run", [])
+    screen = RunScreen("a run", None)
     screen.update(FULL)
     screen.say("a note")
     screen.close()

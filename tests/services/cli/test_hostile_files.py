@@ -14,13 +14,11 @@ import pytest
 
 from ltv_mpc import references
 from ltv_mpc.bathymetry import Bathymetry
-from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.failed_qp import NamedQp
 from ltv_mpc.currents import read_prior, read_profile
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.geofence.fence import Fence
 from ltv_mpc.localisation.pd0 import reader as pd0
-from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.references.geodesy import Origin
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.security import credentials
@@ -77,10 +75,6 @@ VEHICLE = Vehicle.load("paper")
 TEXTS: dict[str, Callable[[Path], Any]] = {
     ".toml vehicle": lambda path: Vehicle.load(str(path)),
     ".toml scenario": lambda path: resolve(str(path)),
-    ".toml reference": lambda path: references.load(str(path)),
-    ".toml fence": lambda path: Fence.load(str(path)),
-    ".toml sensors": lambda path: SensorConfig.load(str(path)),
-    ".toml controller": lambda path: ControllerConfig.load(str(path)),
     ".toml campaign": campaign.load,
     ".plan reference": lambda path: references.load(str(path)),
     ".waypoints reference": lambda path: references.load(str(path)),

@@ -62,9 +62,9 @@ def test_the_proposed_horizon_covers_a_turn_and_a_stop(capsys: pytest.CaptureFix
 
 @pytest.mark.usefixtures("without_report")
 def test_identify_recovers_the_vehicle_of_a_run(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A vehicle with 1.2 times the mass and 0.8 times the drag, held in a current for one minute."""
+    """A vehicle with 1.2 times the mass and 0.8 times the drag, held in a current for half a minute."""
     keys = (
-        *("run.duration_s=60", "run.surface_time_s=1", "water.sd_mps=0.15", "plant.north_m=3"),
+        *("run.duration_s=30", "run.surface_time_s=1", "water.sd_mps=0.15", "plant.north_m=3"),
         *("plant.mismatch.mass=1.2", "plant.mismatch.drag=0.8"),
     )
     options = [word for key in keys for word in ("--set", key)]

@@ -103,8 +103,8 @@ def recorded_dive(folder: Path, port: int) -> Iterator[tuple[Publisher, BusFeed,
 
 def verdict() -> RunMetrics:
     metrics = RunMetrics(Vehicle.load("paper"))
-    for sequence, (_, signal, t_ns) in enumerate(synthetic_run.dive(END_S)):
-        metrics.observe(signal, epoch=EPOCH, sequence=sequence, t_ns=t_ns)
+    for sequence, (_, signal, _) in enumerate(synthetic_run.dive(END_S)):
+        metrics.observe(signal, epoch=EPOCH, sequence=sequence)
     return metrics
 
 

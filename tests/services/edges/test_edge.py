@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from ltv_mpc.messages import Estimate, Health
+from ltv_mpc.safety.plan_queue import PlanQueue
 from services.bus.roles import reads, writes
 from services.bus.topics import BY_TYPE, expression
 from services.cli.app import run
 from services.edges.edge import Edge, LossCounter, Outgoing, Output, Received, Refused, StampedClock
 from services.edges.mavlink.edge import MavlinkEdge
-from services.edges.plan_follower import PlanFollower
 from services.edges.ros2.edge import Ros2Edge
 from tests.services.edges.plans import SECOND_NS, plan
 
@@ -61,30 +61,30 @@ def test_a_clock_that_was_set_forward_is_followed_after_a_second() -> None:
 
 
 def test_a_plan_is_executed_by_vehicle_time_and_not_beyond_its_end() -> None:
-    plans = PlanFollower()
+    plans = PlanQueue(5.0)
     assert plans.thrust_N(7) is None
-    plans.follow(plan(7 * SECOND_NS))
+    plans.add(plan(7 * SECOND_NS), 0)
     assert plans.thrust_N(None) is None
     for at_s, thrust in ((7.5, (5.0, -10.0, 2.5)), (8.5, (10.0, -20.0, 5.0))):
         np.testing.assert_allclose(plans.thrust_N(round(at_s * SECOND_NS)), thrust)
     assert plans.thrust_N(round(9.1 * SECOND_NS)) is None
-    plans = PlanFollower()
-    plans.follow(msgspec.structs.replace(plan(0), t_ns=SECOND_NS * np.arange(15), thrust_N=np.full((15, 3), 10.0)))
+    plans = PlanQueue(5.0)
+    plans.add(msgspec.structs.replace(plan(0), t_ns=SECOND_NS * np.arange(15), thrust_N=np.full((15, 3), 10.0)), 0)
     assert plans.thrust_N(4_999_000_000) is not None
     assert plans.thrust_N(5_001_000_000) is None
 
 
 def test_a_plan_is_in_force_until_the_next_one_begins() -> None:
-    plans = PlanFollower()
-    assert plans.health(0) is Health.NOMINAL  # else `arm` would be rejected until the first report after the first plan
-    plans.follow(plan(0), 100_000_000, (5, 1))
-    assert (plans.late, plans.identity) == (1, (5, 1))
+    plans = PlanQueue(5.0)
+    plans.add(plan(0), 100_000_000, (5, 1))
+    assert (plans.is_late, plans.plans_late, plans.identity) == (True, 1, (5, 1))
     later = plan(SECOND_NS + 500_000_000)
-    plans.follow(later, SECOND_NS, (5, 2))
-    assert (plans.late, plans.received_t_ns) == (1, SECOND_NS)
+    plans.add(later, SECOND_NS, (5, 2))
+    assert (plans.is_late, plans.plans_late) == (False, 1)
+    assert plans.applied(SECOND_NS, np.zeros(3), np.zeros(3)).plan_received_t_ns == SECOND_NS
     np.testing.assert_allclose(plans.thrust_N(SECOND_NS + 400_000_000), (10.0, -20.0, 5.0))
     np.testing.assert_allclose(plans.thrust_N(SECOND_NS + 500_000_000), (0.0, 0.0, 0.0))
-    plans.follow(msgspec.structs.replace(later, thrust_N=later.thrust_N + 1.0), SECOND_NS, (5, 3))  # replaces it
+    plans.add(msgspec.structs.replace(later, thrust_N=later.thrust_N + 1.0), SECOND_NS, (5, 3))  # replaces it
     np.testing.assert_allclose(plans.thrust_N(SECOND_NS + 500_000_000), (1.0, 1.0, 1.0))
     assert plans.health(2 * SECOND_NS) is Health.NOMINAL
     assert plans.health(4 * SECOND_NS) is Health.FAILSAFE

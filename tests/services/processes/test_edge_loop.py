@@ -36,7 +36,7 @@ class CountingEdge(Edge):
         return ()
 
     def step(self, now_us: int) -> Iterable[Output]:  # noqa: ARG002 (interface)
-        return [Outgoing("", b"plan" if self.plans.has_plan else b"none")]
+        return [Outgoing("", b"plan" if self.plans.newest else b"none")]
 
     def release(self, now_us: int) -> Iterable[Outgoing]:  # noqa: ARG002 (interface)
         return [Outgoing("", b"release")]

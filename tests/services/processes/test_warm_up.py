@@ -26,7 +26,7 @@ from ltv_mpc.control.solvers.recorder import QpRecorder, RecordingSolver
 from ltv_mpc.messages import Applied, CycleTiming, Solve, SolveStatus
 from services.processes.controller import warm_up
 
-vehicle, config = Vehicle.load("paper"), ControllerConfig(solver=sys.argv[1])
+vehicle, config = Vehicle.load("paper"), ControllerConfig(solver=kind)
 reference = references.Hold(start_s=20.0, depth_m=30.0)
 
 warm_up(vehicle, reference, config)
@@ -51,7 +51,7 @@ for k in range(60):
     thrust = tuple(plan.thrust_at(estimate.t_ns))
     controller.add_report(Applied(
         t_ns=estimate.t_ns, thrust_N=thrust, command_N=thrust, command_slew_N_per_s=(0.0, 0.0, 0.0), plan_epoch=1,
-        plan_sequence=k, plan_cycle_t_ns=plan.cycle_t_ns, plan_received_t_ns=plan.cycle_t_ns + 10**7,
+        plan_sequence=k, plan_cycle_t_ns=plan.cycle_t_ns, plan_received_t_ns=plan.cycle_t_ns + 10**7, plan_late=False,
         plans_late=0, plans_rejected=0))
     controller.add_timing(CycleTiming(
         t_ns=plan.cycle_t_ns, compute_ns=10**7, compute_wall_ns=10**7, estimate_age_ns=0, stage_us={}))
@@ -99,9 +99,9 @@ full = msgspec.structs.replace(
 )
 config = EstimatorConfig()
 
-warm_up(full if sys.argv[1] == "full" else base, config)
+warm_up(full if kind == "full" else base, config)
 before = compiled()
-estimator = Estimator(full if sys.argv[1] == "full" else base, config)
+estimator = Estimator(full if kind == "full" else base, config)
 said = []
 def feed(message):
     said.extend(estimator.step(message.t_ns, [ReceivedMessage(as_sent(message), 1, 0, message.t_ns)]))
@@ -133,7 +133,7 @@ for k in range(1, 301):
         feed(GnssFix(t_ns=t, **here, velocity_north_mps=0.0, velocity_east_mps=0.0))
 assert said and said[-1].t_ns == 3 * 10**9
 used = {name for name, count in estimator.account.items() if count and name.endswith(".used")}
-assert len(used) == (8 if sys.argv[1] == "full" else 5), used
+assert len(used) == (8 if kind == "full" else 5), used
 """
 
 END = """
@@ -145,12 +145,10 @@ assert before == after, {key: (before.get(key), count) for key, count in after.i
 
 
 @pytest.mark.parametrize(
-    ("script", "argument"),
-    [*((CONTROLLER, solver) for solver in SOLVERS), (ESTIMATOR, "base"), (ESTIMATOR, "full")],
-    ids=[*SOLVERS, "base", "full"],
+    ("script", "kinds"), [(CONTROLLER, SOLVERS), (ESTIMATOR, ("base", "full"))], ids=["controller", "estimator"]
 )
-def test_no_function_is_compiled_after_the_warm_up(script, argument):
-    """It runs in a separate process, where no other test has compiled anything."""
-    line = [sys.executable, "-c", HEAD + script + END, argument]
-    ended = subprocess.run(line, capture_output=True, text=True, timeout=240)
+def test_no_function_is_compiled_after_the_warm_up(script, kinds):
+    """Each kind in turn in a separate process, where no other test has compiled anything."""
+    program = HEAD + "".join(f"kind = {kind!r}\n{script}{END}" for kind in kinds)
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=240)
     assert ended.returncode == 0, ended.stderr[-2000:]

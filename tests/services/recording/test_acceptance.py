@@ -19,13 +19,14 @@ from services.reporting.plots import recorded
 from services.run.run_config import resolve
 from services.run.summary import summarise_recording
 from sim.evaluation.summary import Summary
+from tests.services.recording.recordings import write
 from tests.services.reporting import synthetic_run as made
 from tests.services.words import status
 
 STRANGER, S = 99, 1_000_000_000
 Frame = tuple[str, type[Message], dict[str, Any]]
 
-REJECTED = RejectedFrame(t_ns=0, node="estimator", key="plan", reason="range", crc=0)
+REJECTED = RejectedFrame(t_ns=0, node="estimator", key="plan", reason="range", crc=0, payload_base64="")
 
 
 def frame(key: str, message: Message, *, epoch: int = STRANGER, sequence: int = 0, **changed: Any) -> Frame:
@@ -131,20 +132,16 @@ def test_a_frame_that_the_readers_refuse_changes_no_figure(attack, unharmed, tmp
 
 
 def test_the_plan_with_which_another_controller_takes_over_counts(tmp_path) -> None:
-    path = tmp_path / "run.mcap"
-    with RunWriter(path, start_ns=0, metadata={}) as writer:
-        for t_ns, epoch, sequence, followed in ((0, 1, 0, 1), (S, 1, 1, 1), (2 * S, 2, 0, 1), (3 * S, 2, 1, 2)):
-            writer.write("controller", made.plan(t_ns), Header(epoch=epoch, sequence=sequence), t_ns)
-            applied = replace(made.applied(t_ns), plan_epoch=followed)
-            writer.write("plant", applied, Header(epoch=7, sequence=t_ns // S), t_ns)
-    assert summary_of(path).cycles == 4
+    messages: list[tuple[str, Message, int, int, int]] = []
+    for t_ns, epoch, sequence, followed in ((0, 1, 0, 1), (S, 1, 1, 1), (2 * S, 2, 0, 1), (3 * S, 2, 1, 2)):
+        messages.append(("controller", made.plan(t_ns), epoch, sequence, t_ns))
+        messages.append(("plant", replace(made.applied(t_ns), plan_epoch=followed), 7, t_ns // S, t_ns))
+    assert summary_of(write(tmp_path / "run.mcap", messages, start_ns=0)).cycles == 4
 
 
 def test_a_run_that_ended_early_says_so_in_summary_and_report(tmp_path) -> None:
-    path = tmp_path / "run.mcap"
-    with RunWriter(path, start_ns=0, metadata={"mode": "services"}) as writer:
-        ended = RunEvent(t_ns=0, node="supervisor", kind="ended", text="plant failed <twice>")
-        writer.write("supervisor", ended, Header(epoch=1, sequence=0), 0)
+    ended = RunEvent(t_ns=0, node="supervisor", kind="ended", text="plant failed <twice>")
+    path = write(tmp_path / "run.mcap", [("supervisor", ended, 1, 0, 0)], mode="services")
     summary = summary_of(path)
     assert (summary.completed, summary.why) == (False, "plant failed <twice>")
     assert info.read([path]).why == summary.why

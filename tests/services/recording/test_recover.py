@@ -23,7 +23,7 @@ from tests.services.recording.recordings import START_NS, chunk, chunks, depth, 
 
 
 def messages(path: Path) -> list[tuple[str, int, bytes]]:
-    return [(line.key, line.t_ns, line.data) for line in Recording(path, past_losses=True).stored()]
+    return [(line.key, line.t_ns, line.data) for line in Recording(path).stored()]
 
 
 @pytest.fixture(scope="module")
@@ -109,7 +109,7 @@ def test_recovery_keeps_the_run_s_metadata_and_each_frame_s_checksum(tmp_path: P
     path = write_depths(tmp_path / "run.mcap", range(500))
     path.write_bytes(path.read_bytes()[:-200])
     made = recovered(path)
-    lines = Recording(Path(made.file), past_losses=True)
+    lines = Recording(Path(made.file))
     assert len(list(lines)) == 500
     assert lines.metadata["seed"] == "7"
     assert lines.others == {"recovery": {"run.mcap": f"500 messages, {made.lost_bytes} bytes lost"}}

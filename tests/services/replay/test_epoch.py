@@ -45,12 +45,12 @@ class Fragile:
         return [PressureDepth(t_ns=t_ns, depth_m=1.0)]
 
 
-def test_old_frames_are_discarded() -> None:
+def test_old_frames_are_discarded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("services.replay.node_replay.MAX_FRAMES", 2)
     replay = NodeReplay("sensors", lambda _: Fragile(), partial(Comparison, "sensors"))
     for at in range(10):
         replay.take(*depth(at), at)
-    replay.sweep(REACH + 8)
-    assert [at for at, _ in replay._frames.values()] == [8, 9]
+    assert [stored.t_ns for stored in replay._frames.values()] == [8, 9]
 
 
 def recorded(*inboxes: tuple[InboxEntry, ...], first: int = 0) -> StepRecord:
@@ -69,7 +69,7 @@ def begun() -> tuple[Epoch, Comparison, Frames]:
 
 def test_a_step_that_raises_only_in_the_replay_is_a_difference_and_ends_its_epoch() -> None:
     epoch, outcome, frames = begun()
-    frames[frame_of(entry(*depth(0)))] = 0, depth(0)[0]
+    frames[frame_of(entry(*depth(0)))] = depth(0)[0]
     outcome.add_recorded(*depth(0))
     epoch.take(recorded((entry(*depth(0)),), (), first=1), 2)
     epoch.close()

@@ -12,11 +12,11 @@ import pytest
 from ltv_mpc.errors import ConfigError
 from services.bus import wire
 from services.recording.reader import StoredMessage
-from services.recording.writer import RunWriter
 from services.replay import replay as engine
 from services.replay.comparison import NOT_RECORDED, NOT_REPLAYED
 from services.replay.verdict import NodeVerdict, Verdict
 from services.run.provenance import provenance_table
+from tests.services.recording.recordings import write
 from tests.services.replay.altered import Plain, messages, rewritten, without
 from tests.services.words import status
 
@@ -165,8 +165,7 @@ def test_outputs_that_nothing_lost_explains_are_differences(recording: Path, tmp
 def test_steps_known_only_from_the_process_report_are_run_and_not_compared(recording: Path, tmp_path: Path) -> None:
     steps = sum(stored.key == "record/controller" for stored, _ in messages(recording))
     word = status("controller", t_ns=3_000_000_000, steps=steps + 100)
-    with RunWriter(tmp_path / "run.2.mcap", start_ns=0, metadata={}) as writer:
-        writer.write("controller", word, wire.Header(epoch=1, sequence=0), 3_000_000_000)
+    write(tmp_path / "run.2.mcap", [("controller", word, 1, 0, 3_000_000_000)])
     out = Path(shutil.copy(recording, tmp_path / "run.mcap"))
     controller = of(replayed(out, only="controller"), "controller")
     assert (controller.steps_compared, controller.steps_run) == (steps, steps + 100)
@@ -186,7 +185,5 @@ def test_provenance_differences_of_another_machine_are_reported(recording: Path,
 
 
 def test_a_recording_without_settings_is_refused(tmp_path: Path) -> None:
-    with RunWriter(tmp_path / "run.mcap", start_ns=0, metadata={}):
-        pass
     with pytest.raises(ConfigError, match=r"run\.mcap: has no settings to build a node from"):
-        engine.Run(tmp_path / "run.mcap")
+        engine.Run(write(tmp_path / "run.mcap", []))

@@ -132,6 +132,7 @@ def report(t_ns: int) -> messages.LocalisationReport:
         status=messages.FilterStatus.NOMINAL,
         why="",
         restarts=0,
+        water_walk_mps_per_rts=0.0,
         sensors=sensors,
         innovations=innovations,
     )

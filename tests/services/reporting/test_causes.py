@@ -92,15 +92,15 @@ FLOWN: dict[str, dict[str, Any]] = {}
 CAUSES: dict[str, tuple[str, dict[str, Any], list[str], str | None, dict[str, Any]]] = {
     "short horizon": (
         "paper-2.5s",
-        {**KNOWN, "duration_s": 30.0},
+        {**KNOWN, "duration_s": 20.0},
         ["The horizon of 2.4 s is shorter than a turn and a stop: 13.8 s is proposed.", "A plan that ends before"],
         "--horizon-s 13.8",
         {"horizon_s": 13.8},
     ),
-    "no thrust": ("paper-no-control", {**KNOWN, "duration_s": 20.0}, ["thrusts were zero"], None, {"lateral": True}),
+    "no thrust": ("paper-no-control", {**KNOWN, "duration_s": 8.0}, ["thrusts were zero"], None, {"lateral": True}),
     "drift": (
         "descent",
-        {"seed": 3, "duration_s": 20.0},
+        {"seed": 3, "duration_s": 12.0},
         ["Drift of the estimate", "Better sensors"],
         "--perfect-state",
         {"perfect_state": True},
@@ -143,7 +143,7 @@ CAUSES: dict[str, tuple[str, dict[str, Any], list[str], str | None, dict[str, An
     "slew": ("hover", {**SHORT, "vehicle": "slow.toml"}, ["The slew limit bounds it"], None, RIGHT),
     "noise": (
         "hover",
-        {"seed": 3, "duration_s": 15.0, "surface_time_s": 10.0, "sensors": "noisy.toml"},
+        {"seed": 3, "duration_s": 10.0, "surface_time_s": 5.0, "sensors": "noisy.toml"},
         ["Noise of the estimate"],
         "--perfect-state",
         {"perfect_state": True},

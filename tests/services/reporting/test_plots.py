@@ -9,11 +9,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc.messages import Array, Estimate, Health, PlanOrigin
+from ltv_mpc.messages import Array, Estimate, Health, Message, PlanOrigin
 from ltv_mpc.vehicle.propulsion import propulsive_power_W
-from services.bus.wire import Header
 from services.recording.node_settings import vehicle_of
-from services.recording.writer import RunWriter
 from services.reporting.plots import analysis
 from services.reporting.plots.catalogue import PLOTS, REVIEW
 from services.reporting.plots.collector import INNOVATIONS, Collector, nis_deviation
@@ -21,6 +19,7 @@ from services.reporting.plots.delays import Percentiles
 from services.reporting.plots.description import Style
 from services.reporting.plots.recorded import read
 from services.reporting.plots.table import Columns, Table
+from tests.services.recording.recordings import write
 from tests.services.reporting import synthetic_run
 from tests.services.reporting.synthetic_run import DRIFT_EAST_MPS, EPOCH, GROWTH_M2_PER_S, OFFSET, TARGET, S
 from tests.services.runtime.test_controller_status import STATUS as CONTROLLER_STATUS
@@ -226,16 +225,15 @@ def test_a_recording_gives_what_the_signals_give(tmp_path: Path, collector: Coll
 
 
 def test_estimates_of_a_source_that_is_not_in_use_are_not_drawn(tmp_path: Path) -> None:
-    path, used = tmp_path / "run.mcap", 5
-    with RunWriter(path, start_ns=0, metadata={}) as writer:
-        in_use = msgspec.structs.replace(CONTROLLER_STATUS, source="default", source_epoch=used)
-        writer.write("controller", in_use, Header(epoch=1, sequence=0), 0)
-        for k in range(20):
-            for epoch, north_m in ((6, 50.0), (used, 1.0)):
-                t_ns = k * S + (epoch == used) * S // 2
-                estimate = msgspec.structs.replace(Estimate.at_rest(north_m=north_m, depth_m=0.0), t_ns=t_ns)
-                writer.write("estimator", estimate, Header(epoch=epoch, sequence=k), t_ns)
-    assert read(path).tables["track"]["north_m"] == [1.0] * 20
+    used = 5
+    in_use = msgspec.structs.replace(CONTROLLER_STATUS, source="default", source_epoch=used)
+    messages: list[tuple[str, Message, int, int, int]] = [("controller", in_use, 1, 0, 0)]
+    for k in range(20):
+        for epoch, north_m in ((6, 50.0), (used, 1.0)):
+            t_ns = k * S + (epoch == used) * S // 2
+            estimate = msgspec.structs.replace(Estimate.at_rest(north_m=north_m, depth_m=0.0), t_ns=t_ns)
+            messages.append(("estimator", estimate, epoch, k, t_ns))
+    assert read(write(tmp_path / "run.mcap", messages)).tables["track"]["north_m"] == [1.0] * 20
 
 
 def test_the_review_of_a_run_is_that_of_its_tables() -> None:

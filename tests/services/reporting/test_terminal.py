@@ -5,13 +5,13 @@ from __future__ import annotations
 import dataclasses
 import io
 import math
-from collections.abc import Sequence
 
 import pytest
 from msgspec.structs import replace
 from rich.console import Console
 
 from ltv_mpc.messages import Authority, FilterStatus, Health, NodeStatus, PlanOrigin, SensorStatus
+from ltv_mpc.vehicle.parameters import Vehicle
 from services.reporting.plots.collector import Collector
 from services.reporting.terminal import RunScreen, bar, is_plain, observe, progress_bar
 from services.supervisor.screen import ORDER, LiveView
@@ -20,7 +20,7 @@ from tests.services.reporting import synthetic_run
 from tests.services.reporting.synthetic_run import S
 from tests.services.words import status
 
-LIMITS = [(-62.5, 62.5)] * 3
+PAPER = Vehicle.load("paper")
 NOW_NS = 21 * S
 SPENT_US = {"predict": 1e3, "linearise": 3e5, "build": 2e5, "update": 1e5, "solve": 1.23456e6, "read": 1.0}
 
@@ -62,9 +62,9 @@ FULL = dataclasses.replace(
 )
 
 
-def drawn(view: LiveView, limits: Sequence[tuple[float, float]] = LIMITS) -> list[str]:
+def drawn(view: LiveView, vehicle: Vehicle | None = PAPER) -> list[str]:
     console = Console(width=80, height=24, file=io.StringIO())
-    screen = RunScreen("a title that is much longer than a line of a terminal " * 3, limits, console)
+    screen = RunScreen("a title that is much longer than a line of a terminal " * 3, vehicle, console)
     screen.update(view)
     screen.close()
     with console.capture() as capture:
@@ -99,7 +99,7 @@ def test_the_screen_says_what_the_messages_hold() -> None:
 def test_a_reason_to_stand_still_fits_a_line_with_the_time_since_it_came() -> None:
     why = "not driving: autopilot in failsafe; end its cause and set MANUAL"
     plans = [replace(FULL.plan, health=Health.DEGRADED, health_why=why, cycle_t_ns=t * S) for t in (20, 40, 61)]
-    screen = RunScreen("a boat", LIMITS, console := Console(width=80, height=24, file=io.StringIO()))
+    screen = RunScreen("a boat", PAPER, console := Console(width=80, height=24, file=io.StringIO()))
     for plan in plans:
         screen.update(dataclasses.replace(FULL, t_ns=plan.cycle_t_ns, plan=plan))
     with console.capture() as capture:
@@ -112,7 +112,7 @@ def test_a_reason_to_stand_still_fits_a_line_with_the_time_since_it_came() -> No
 def test_the_title_is_bold_and_a_thruster_at_its_limit_is_yellow() -> None:
     out = io.StringIO()
     console = Console(file=out, width=80, height=24, force_terminal=True, color_system="standard")
-    console.print(RunScreen("a run", LIMITS, console).render(FULL))
+    console.print(RunScreen("a run", PAPER, console).render(FULL))
     lines = out.getvalue().splitlines()
     assert any("\x1b[1m" in line and "a run" in line for line in lines)
     yellow = {name: any(f"\x1b[33m{name}" in line for line in lines) for name in ("port", "starboard", "vertical")}
@@ -122,7 +122,7 @@ def test_the_title_is_bold_and_a_thruster_at_its_limit_is_yellow() -> None:
 def test_beside_a_boat_the_screen_has_what_a_boat_has() -> None:
     afloat = replace(synthetic_run.estimate(NOW_NS), depth_m=None, current=None)
     boat = dataclasses.replace(FULL, end_ns=None, truth=None, localisation=None, estimate=afloat, phase="")
-    lines = drawn(boat, [])
+    lines = drawn(boat, None)
     text = "\n".join(lines)
     assert lines[1].strip() == "t     21.0 s"
     assert any(line.split() == ["starboard", "31.2", "N"] for line in lines)
@@ -155,7 +155,7 @@ def test_a_pipe_gets_lines_without_control_characters(monkeypatch: pytest.Monkey
         with monkeypatch.context() as patch:
             patch.setenv(variable, "1")
             assert is_plain(terminal)
-    screen = RunScreen("x", LIMITS, Console(file=file, width=80))
+    screen = RunScreen("x", PAPER, Console(file=file, width=80))
     screen.update(FULL)
     screen.update(FULL)  # too soon for another
     screen.say("[bold]a phase")

@@ -18,7 +18,7 @@ from tests.services.words import status
 from tests.waiting import until
 
 ESTIMATE = Estimate.at_rest()
-REJECTED = RejectedFrame(t_ns=0, node="estimator", key="sensor/depth", reason="range", crc=0)
+REJECTED = RejectedFrame(t_ns=0, node="estimator", key="sensor/depth", reason="range", crc=0, payload_base64="")
 DEPTH = PressureDepth(t_ns=0, depth_m=1.0)
 
 
@@ -74,11 +74,9 @@ def test_each_further_epoch_of_a_process_is_a_restart(summary: Summary) -> None:
     assert summary.restarts == 2
 
 
-def test_times_are_in_vehicle_and_in_wall_seconds_and_stages_in_wall_microseconds(summary: Summary) -> None:
+def test_times_are_in_vehicle_and_in_wall_seconds(summary: Summary) -> None:
     assert summary.speed == 10.0
     assert (summary.compute_delay_s.median, summary.compute_delay_wall_s.median) == (0.02, 0.002)
-    assert summary.stages_us["solve"].median == 200.0
-    assert summary.stages_us["age"].median == 5000.0
 
 
 def test_a_run_that_never_began_has_no_errors_and_no_duration(summary: Summary) -> None:

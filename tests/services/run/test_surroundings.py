@@ -14,11 +14,9 @@ from ltv_mpc.errors import ConfigError
 from ltv_mpc.geofence.fence import Disc
 from ltv_mpc.references.geodesy import Place
 from services.bus.options import BusOptions
-from services.bus.wire import Header
 from services.cli.app import run as command
 from services.processes import controller
 from services.recording.reader import Recording
-from services.recording.writer import RunWriter
 from services.replay import replay
 from services.replay.nodes import Run
 from services.run import folder
@@ -26,6 +24,7 @@ from services.run.run_config import Override, resolve
 from services.run.settings_files import controller_files, node_settings
 from services.supervisor import process_table
 from services.tools import lockstep_run
+from tests.services.recording.recordings import write
 
 SOUNDINGS = "north_m,east_m,depth_m\n-50,-50,12\n-50,50,12\n50,-50,12\n50,50,12\n"
 LIMIT = "controller.limits.min_altitude_m=3"
@@ -88,9 +87,7 @@ def test_the_settings_that_a_controller_publishes_have_its_bathymetry(bottom: Pa
     settings = ControllerConfig(limits=MotionLimits(min_altitude_m=3.0))
     published = node_settings("controller", controller_files("paper", "square", "", str(bottom), settings))
     assert published is not None
-    with RunWriter(tmp_path / "run.mcap", start_ns=0, metadata={}) as writer:
-        writer.write("controller", published, Header(epoch=1, sequence=0), 0)
-    node = Run(tmp_path / "run.mcap").make("controller", 1)
+    node = Run(write(tmp_path / "run.mcap", [("controller", published, 1, 0, 0)])).make("controller", 1)
     assert isinstance(node, ControllerNode)
     assert node.controller.bathymetry is not None
 

@@ -9,7 +9,7 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
-from services.runtime.console import ERASE, Console, Level, counted, fold
+from services.runtime.console import ERASE, Console, Level, fold
 
 DEGRADED = "health: degraded (the estimates are too old)"
 
@@ -95,8 +95,3 @@ def test_a_text_breaks_where_a_clause_ends_and_else_between_words() -> None:
     assert fold(words, 30).split() == words.split()
     path = "/folder" * 9  # stays whole
     assert fold(f"see {path}: full", 30, indent=2).splitlines() == ["see", f"  {path}:", "  full"]
-
-
-def test_one_thing_has_no_plural() -> None:
-    assert [counted(n, "run") for n in (0, 1, 2)] == ["0 runs", "1 run", "2 runs"]
-    assert counted(2, "class", "classes") == "2 classes"

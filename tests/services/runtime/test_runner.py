@@ -10,7 +10,6 @@ from contextlib import contextmanager
 from itertools import pairwise
 from typing import NamedTuple, TypeVar
 
-import msgspec
 import pytest
 
 from ltv_mpc.messages import (
@@ -43,7 +42,6 @@ from services.runtime.clock_master import ClockMasterSettings
 from services.runtime.process_time import ClockOptions
 from services.runtime.runner import Runner
 from services.runtime.stopping import StopRequest
-from tests.ltv_mpc.reports import report
 from tests.services.edges.plans import plan
 from tests.stepping import as_sent
 from tests.waiting import until
@@ -363,53 +361,6 @@ def test_a_flood_does_not_keep_a_cycle_from_its_time(bus: BusOptions) -> None:
     runner.mailbox.take = never_empty  # type: ignore[method-assign]
     with running(bus, runner):
         until(lambda: len(node.inboxes) > 5)
-
-
-def answer(header: Header, of: Plan, t_ns: int) -> Applied:
-    return report(
-        t_ns,
-        ZERO,
-        plan_epoch=header.epoch,
-        plan_sequence=header.sequence,
-        plan_cycle_t_ns=of.cycle_t_ns,
-        plan_received_t_ns=t_ns,
-    )
-
-
-def test_without_a_clock_estimates_give_the_time_and_what_contradicts_it_is_rejected(bus: BusOptions) -> None:
-    """The other side stamps in Unix time and reports each received plan by its own clock."""
-    offset_ns = 1_763_740_800_000_000_000
-    node = controller(Command)
-    runner = Runner(node, clock=ClockOptions(sync_to_inputs=True))
-    with running(bus, runner) as beside:
-        out = beside.out(Estimate, Applied, Command)
-        out.publish(Command(command_id=1, action=Action.ARM))
-        until(lambda: beside.of(RejectedFrame))
-
-        def said(*, answers: bool, ahead_ns: int = 0) -> bool:
-            now_ns = offset_ns + time.monotonic_ns()
-            out.publish(msgspec.structs.replace(Estimate.at_rest(), t_ns=now_ns + ahead_ns))
-            plans = [(header, message) for _, message, header in beside.heard if isinstance(message, Plan)]
-            if plans and answers:
-                out.publish(answer(*plans[-1], now_ns))
-            time.sleep(0.05)
-            mode = runner._time.sync.offset(monotonic_us()).mode
-            return mode == ("two-way" if answers else "one-way") and len(plans) >= 2
-
-        until(lambda: said(answers=False))
-        until(lambda: said(answers=True))
-        reading = runner._time.sync.offset(monotonic_us())
-        assert reading.error_ns is not None
-        assert abs(reading.offset_ns - offset_ns) <= reading.error_ns
-        said(answers=True, ahead_ns=3_600_000_000_000)
-        until(lambda: said(answers=True) and len(beside.of(RejectedFrame)) == 2)
-    assert [frame.key for frame in beside.of(RejectedFrame)] == ["command", "estimate"]
-    assert "no estimate received yet" in beside.of(RejectedFrame)[0].reason
-    stamps = [message.t_ns for message in node.heard if isinstance(message, Estimate)]
-    assert max(stamps) - min(stamps) < 600_000_000_000
-    for _, message, header in beside.heard:
-        if isinstance(message, Plan):
-            assert -1e9 < message.cycle_t_ns - (offset_ns + header.sent_monotonic_us * 1000) <= reading.error_ns
 
 
 def test_a_command_does_not_wait_for_the_next_cycle(bus: BusOptions) -> None:

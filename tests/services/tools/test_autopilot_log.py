@@ -26,7 +26,7 @@ from tests.ltv_mpc.vehicles import changed
 from tests.services.edges.mavlink.items import codec
 
 BOAT = Vehicle.load("bluerobotics-boat")
-STEP_S, SECONDS, PERIOD = 0.02, 80.0, 5
+STEP_S, SECONDS, PERIOD = 0.02, 50.0, 5
 HEADER = b"\xa3\x95"
 FORMATS = {
     "PARM": (10, "QNff", "TimeUS,Name,Value,Default"),
@@ -124,7 +124,7 @@ KINDS = {
     "armed later.BIN": lambda path: data_flash(path, FUNCTIONS, {20: 1}),
     "armed before, as by LOG_DISARMED = 0.bin": lambda path: data_flash(path, FUNCTIONS, {len(drive()) - 20: 0}),
     "without arming.bin": lambda path: data_flash(path, FUNCTIONS, {}),
-    "outputs whose stamps begin again.tlog": lambda path: telemetry(path, 2**32 - 70_000_000, False),
+    "outputs whose stamps begin again.tlog": lambda path: telemetry(path, 2**32 - 30_000_000, False),
     "an hour and a half after the start.tlog": lambda path: telemetry(path, 5_400_000_000, False),
     "restarted.tlog": lambda path: telemetry(path, 1_000_000_000, True),
 }

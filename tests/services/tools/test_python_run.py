@@ -41,7 +41,6 @@ def test_a_run_that_is_simulated_is_the_one_that_is_recorded_and_read(run: Run, 
     ("reference", "absolute"),
     [
         ('kind = "point"\nnorth_m = 5.0\neast_m = 0.0', True),
-        ('kind = "line"\nspeed_mps = 0.3\nstart = {north_m = 0, east_m = 0}\nend = {north_m = 9, east_m = 0}', True),
         ('kind = "hold"', False),
     ],
 )

@@ -11,12 +11,11 @@ import pytest
 
 from ltv_mpc import Vehicle
 from ltv_mpc.messages import Applied, Authority, Estimate, Message, Plan
-from services.bus.wire import Header
 from services.cli.app import run
-from services.recording.writer import RunWriter
 from services.tools.vehicle_identify import motion_of
 from tests.ltv_mpc.plans import plan_of
 from tests.ltv_mpc.reports import report
+from tests.services.recording.recordings import write
 
 PAPER = Vehicle.load("paper")
 PERIOD_NS = 100_000_000
@@ -103,10 +102,8 @@ def test_without_reports_only_plans_in_force_are_used() -> None:
 
 def record(path: Path, messages: Iterable[Message | tuple[int, Plan]], segment: str = "run.mcap") -> str:
     path.mkdir(exist_ok=True)
-    with RunWriter(path / segment, start_ns=0, metadata={}, flush_s=None) as writer:
-        for i, message in enumerate(messages):
-            t_ns, published = message if isinstance(message, tuple) else (message.t_ns, message)
-            writer.write("estimator", published, Header(epoch=1, sequence=i), t_ns)
+    timed = (message if isinstance(message, tuple) else (message.t_ns, message) for message in messages)
+    write(path / segment, (("estimator", message, 1, i, t_ns) for i, (t_ns, message) in enumerate(timed)), start_ns=0)
     return str(path)
 
 

@@ -52,10 +52,8 @@ def of_the_table(*, realistic_adcp=False):
 
 # Drift after 200 s (m), and velocity then (mm/s), of one axis; from an analysis that is not this project's code.
 TABLE = {
-    "inertial only": (of_the_table(), 30, (), ("adcp",), 75.0, None),
     "inertial only, tilt known, perfect gyros": (of_the_table(), 30, ("tilt", "gyro_bias"), ("adcp",), 2.7, None),
     "paper, 1 fix": (of_the_table(), 1, (), (), 1.01, 5.3),
-    "paper, 30 fixes": (of_the_table(), 30, (), (), 0.21, 2.0),
     "paper, satellite velocity only": (of_the_table(), 1, (), ("tdcp",), 2.63, 13.3),
     "realistic ADCP, 1 fix": (of_the_table(realistic_adcp=True), 1, (), (), 1.23, 7.7),
 }

@@ -153,15 +153,3 @@ def test_what_is_assumed_at_first_is_what_the_estimator_assumes():
     np.testing.assert_allclose(model.prior()[WATER:, WATER:][:13, 13:], 0)
     np.testing.assert_allclose(model.prior()[5, 5], 1 / 0.1**2)
     np.testing.assert_allclose(np.diag(model.prior())[GYRO_BIAS], 1 / PAPER.imu.gyro_bias_sd_radps**2)
-
-
-def test_a_heading_turned_with_everything_else_changes_no_beam():
-    """phi_d = 1, dv = z x v, dc = z x c: what profiler and inertial unit cannot see is not in the information."""
-    model = ErrorModel(REALISTIC, EstimatorConfig(deepest_m=20.0))
-    rng = np.random.default_rng(2)
-    water, v = 0.2 * rng.standard_normal((21, 2)), np.array([0.3, -0.2, 0.1])
-    together = np.zeros(model.size)
-    together[8], together[3], together[4] = 1.0, -v[1], v[0]
-    together[WATER : WATER + 21], together[WATER + 21 :] = -water[:, 1], water[:, 0]
-    rows = model.adcp(Instant(np.array([0, 0, 2.0]), v, rotation(0.1, -0.1, 0.4)), water)
-    np.testing.assert_allclose(rows @ together, 0, atol=1e-9)

@@ -3,42 +3,27 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from ltv_mpc.currents import write_profile
 from ltv_mpc.errors import ConfigError
+from ltv_mpc.messages import CurrentProfile
 from sim.scenario import Water
 from sim.water import WaterColumn, make
 
-DATA = Path(__file__).parents[3].parent / "shared" / "data"
-FILES = {
-    #                                          rows  first  last
-    "MORIA-80_ladcp.csv": (25, 8.0, 200.0),
-    "glider_comet_2016_current_profile.csv": (52, 3.0, 55.0),
-    "kolumbo_dive_a_mean.csv": (494, 2.5, 490.0),
-    "kolumbo_dive_e_mean.csv": (175, 2.5, 171.0),
-}
 S = 1_000_000_000
 
 
-@pytest.mark.parametrize("name", FILES)
-def test_a_measured_profile_is_interpolated_and_held_constant_beyond_its_ends(name):
-    path = DATA / name
-    if not path.exists():
-        pytest.skip(f"no measured currents: {path} is not there")
-    rows, first, last = FILES[name]
-    water = make(Water(kind="measured", file=str(path)), 0)
-    lines = [x.split(",")[:3] for x in path.read_text().splitlines() if x[:1].isdigit()]
-    depth, north, east = np.array(lines, dtype=float).T
-    assert (len(depth), depth[0], depth[-1]) == (rows, first, last)
-    assert water.at(0.0, 0) == (north[0], east[0])
-    assert water.at(first, 0) == (north[0], east[0])
-    assert water.at(last, 0) == (north[-1], east[-1])
-    assert water.at(last + 1000.0, 0) == (north[-1], east[-1])
-    at = np.linspace(-2.0, last + 50.0, 997)
+def test_a_measured_profile_is_interpolated_and_held_constant_beyond_its_ends(tmp_path):
+    draws = np.random.default_rng(1)
+    depth, (north, east) = 2.5 + np.cumsum(draws.random(60)), draws.normal(0.0, 0.1, (2, 60))
+    write_profile(tmp_path / "c.csv", CurrentProfile(depth_m=depth, north_mps=north, east_mps=east))
+    water = make(Water(kind="measured", file=str(tmp_path / "c.csv")), 0)
+    assert water.at(0.0, 0) == water.at(depth[0], 0) == (north[0], east[0])
+    assert water.at(depth[-1] + 1000.0, 0) == water.at(depth[-1], 0) == (north[-1], east[-1])
+    at = np.linspace(-2.0, depth[-1] + 50.0, 997)
     expected = np.column_stack([np.interp(at, depth, north), np.interp(at, depth, east)])
     np.testing.assert_allclose(water.over(at, 5 * S), expected, atol=1e-15)
     np.testing.assert_array_equal([water.at(z, 5 * S) for z in at], water.over(at, 5 * S))
@@ -101,11 +86,3 @@ def test_the_change_grows_with_the_square_root_of_time_and_past_and_future_are_i
     rows, opposite = ([column.over(depth, t * S) for column in water] for t in (seconds, -seconds))
     assert np.std(rows) == pytest.approx(1e-3 * math.sqrt(abs(seconds)), rel=4 / math.sqrt(2 * np.size(rows)))
     assert abs(np.corrcoef(np.ravel(rows), np.ravel(opposite))[0, 1]) < 4 / math.sqrt(np.size(rows))
-
-
-def test_a_profile_written_to_a_file_is_the_same_water(tmp_path):
-    water = make(Water(), 9)
-    write_profile(tmp_path / "c.csv", water.profile(0))
-    again = make(Water(kind="measured", file=str(tmp_path / "c.csv")), 0)
-    at = np.linspace(0, 80, 333)
-    np.testing.assert_array_equal(again.over(at, 0), water.over(at, 0))

@@ -60,17 +60,6 @@ def test_a_limit_is_kept_in_every_plan_of_every_solver(solver: str) -> None:
     assert total.max() > 19.9  # and used
 
 
-@pytest.mark.parametrize("solver", ["osqp", "riccati", "daqp"])
-def test_a_cost_term_is_felt_by_every_solver(solver: str) -> None:
-    at = references.Point(north_m=0.0, east_m=5.0)
-
-    def largest_rate(terms: list[Term | Limit]) -> float:
-        plan = Controller(PAPER, at, ControllerConfig(solver=solver), terms=terms).plan(Estimate.at_rest(depth_m=0.0))
-        return float(np.abs(plan.states[:, 5]).max())
-
-    assert largest_rate([YawRate()]) < 0.5 * largest_rate([])
-
-
 def test_thrusts_above_a_limit_come_down_at_the_slew_limit() -> None:
     """It is soft: there is always a solution."""
     controller = Controller(PAPER, POINT, terms=[TotalThrust()])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ltv_mpc.control.config import Weights
-from ltv_mpc.control.ocp.problem import Problem, least_surplus, optimality_error, roll_out, row_values
+from ltv_mpc.control.ocp.problem import Problem, optimality_error, row_values
 from ltv_mpc.control.problem_data import Constants
 from ltv_mpc.control.solvers import riccati
 from ltv_mpc.control.solvers.active_set import CONVERGED
@@ -140,14 +140,3 @@ def test_numbers_that_are_not_finite_are_an_infinite_error() -> None:
     p, z, y = of_vehicle(1, LIMITS)
     z[3, 10] = math.nan
     assert optimality_error(p, z, y) == math.inf
-
-
-def test_the_least_surplus_is_that_of_the_rows_from_a_number_on() -> None:
-    p, z = anything(2), np.random.default_rng(2).normal(size=(6, 5))
-    z[-1, 3:] = 0.0
-    own, g = z.copy(), np.empty(p.low.shape)
-    roll_out(p, own)
-    row_values(p, own, g)
-    for first in range(4):
-        wanted = np.minimum(g - p.low, p.high - g)[:, first:].min()
-        assert least_surplus(p, z, first) == pytest.approx(wanted)

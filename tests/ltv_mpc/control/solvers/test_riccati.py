@@ -103,19 +103,6 @@ def test_in_a_closed_loop_the_last_cycle_s_active_limits_mostly_hold(cycles, opt
     assert sum(warm) < 0.9 * sum(cold)
 
 
-def test_from_the_rows_of_a_similar_problem_the_interior_point_is_seldom_needed():
-    """Without the line search, sets of rows come again and again, and it is needed nine times out of twelve."""
-    sweeps = []
-    for seed in range(12):
-        lin, target = motion(seed, CONFIG.stages)
-        solver = Alone(CONFIG)
-        answer(solver, FORM, lin, target)
-        ours = answer(solver, FORM, lin, target + 0.05, 0.0)
-        np.testing.assert_allclose(ours.commands, FORM.optimum(lin, target + 0.05), atol=EXACT_N)
-        sweeps.append(ours.solve.iterations)
-    assert np.count_nonzero(np.array(sweeps) > riccati.FIRST_SWEEPS) <= 2
-
-
 def test_a_result_that_violates_the_conditions_is_handed_to_osqp(monkeypatch):
     solver, (lin, target) = SOLVERS["riccati"](CONFIG), motion(2, CONFIG.stages)
     for _ in range(2):  # the first one sets up OSQP

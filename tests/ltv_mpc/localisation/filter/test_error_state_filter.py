@@ -1,4 +1,4 @@
-"""Error-state filter: propagation of its covariance, and the outcomes of measurements; test_batch.py has the whole."""
+"""Error-state filter: propagation of its covariance, and the outcomes of measurements."""
 
 import math
 

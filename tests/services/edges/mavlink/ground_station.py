@@ -1,7 +1,6 @@
-"""Ground station by MAVSDK, which nobody here wrote. Run as a process of its own: ``python -m ... PORT [PLACES]``.
+"""Ground station by MAVSDK, which nobody here wrote. Run as a process of its own: ``python -m ... PORT``.
 
-It connects, uploads a mission, arms, sets the mode MANUAL, and reads telemetry until it is ended; lines of JSON. With a
-number of places it uploads a mission of so many, clears it for 0, and ends.
+It connects, uploads a mission, arms, sets the mode MANUAL, and reads telemetry until it is ended; lines of JSON.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ def say(**fields: Any) -> None:
     sys.stdout.flush()
 
 
-async def main(port: int, places: int | None) -> None:
+async def main(port: int) -> None:
     """Run the ground station."""
     from mavsdk.asyncio.mavsdk import Configuration, Mavsdk
     from mavsdk.asyncio.plugins.action.action import ActionAsync
@@ -44,13 +43,10 @@ async def main(port: int, places: int | None) -> None:
                 x=round(lat * 1e7),
                 y=round(lon * 1e7),
             )
-            for at, (lat, lon) in enumerate(PLACES[:places])
+            for at, (lat, lon) in enumerate(PLACES)
         ]
-        missions = MissionRawAsync(system)
-        await (missions.upload_mission(items) if items else missions.clear_mission())
+        await MissionRawAsync(system).upload_mission(items)
         say(uploaded=len(items))
-        if places is not None:
-            return
         await ActionAsync(system).arm()
         say(armed=True)
         telemetry = TelemetryAsync(system)
@@ -59,4 +55,4 @@ async def main(port: int, places: int | None) -> None:
 
 
 if __name__ == "__main__":
-    asyncio.run(main(int(sys.argv[1]), int(sys.argv[2]) if sys.argv[2:] else None))
+    asyncio.run(main(int(sys.argv[1])))

@@ -22,7 +22,7 @@ MAVSDK_SYSTEM = "245"
 
 @pytest.mark.timeout(400)
 def test_a_mission_of_another_ground_station_is_driven() -> None:
-    """It uploads, clears and uploads another one, arms and reads telemetry; the boat drives to the second place."""
+    """It uploads, arms and reads telemetry; the boat drives to the second place."""
     own, station = loopback.free_port(), loopback.free_port()
     simulated = ROOT / "examples/python/simulated_autopilot.py"
     links = (f"udpout:127.0.0.1:{own}", f"udpout:127.0.0.1:{station}", MAVSDK_SYSTEM)
@@ -35,10 +35,6 @@ def test_a_mission_of_another_ground_station_is_driven() -> None:
             started(sys.executable, "-P", str(simulated), *links) as (_, autopilot),
         ):
             autopilot.until(lambda line: "autopilot disarmed" in line, within_s=90.0)
-            for places, text in ((2, "1: 50.20004, -5.1 at 0.5 m/s, then"), (0, "cleared")):
-                with started(*ground, str(places)) as (_, said):
-                    said.until(lambda line, places=places: f'"uploaded": {places}' in line)
-                    autopilot.until(lambda line, text=text: text in line, within_s=60.0)
             drive(ground, autopilot, endpoint)
             second = "2: 50.20004, -5.09996"  # said while it begins to drive: read already, or still to be read
             if not any(second in line for line in autopilot.said):

@@ -208,7 +208,7 @@ def test_what_acts_is_the_command_of_the_override_and_zero_once_it_is_released()
     reports = [one for one in outputs if isinstance(one, Applied)]
     assert 14 <= len(reports) <= 16  # ten in a second
     np.testing.assert_allclose(reports[-1].command_N, edge.plans.thrust_N(reports[-1].t_ns))
-    assert reports[-1].plan_cycle_t_ns == edge.plans.cycle_t_ns
+    assert reports[-1].plan_cycle_t_ns == edge.plans.newest.cycle_t_ns
     (released, *_) = edge.release(now_us + 1_510_000)
     assert isinstance(released, Applied)
     assert (released.command_N, released.why) == ((0.0, 0.0, 0.0), "the edge has stopped")

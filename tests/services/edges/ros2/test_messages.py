@@ -238,7 +238,7 @@ def test_thrusts_and_what_acts_follow_the_plan_and_end_with_it() -> None:
     driving = applied(frames)
     assert driving.command_N == (5.0, -10.0, 2.5)
     assert (driving.t_ns, driving.plan_epoch, driving.plan_sequence) == (T_NS + 500_000_000, 7, 3)
-    assert (driving.plan_received_t_ns, driving.plans_late) == (T_NS + 100_000_000, 1)
+    assert (driving.plan_received_t_ns, driving.plan_late) == (T_NS + 100_000_000, True)
     assert 0.0 < applied(edge.step(700_000)).thrust_N[0] < 7.0  # behind the command, by the lag
     assert not any(isinstance(output, Applied) for output in edge.step(750_000))
     frames = list(edge.step(2_100_000))

@@ -149,16 +149,6 @@ def test_the_covariance_is_that_of_samples_drawn_from_the_messages_own() -> None
     )
 
 
-def test_of_a_level_vehicle_heading_and_velocity_err_together() -> None:
-    """It goes east at 2 m/s: a heading that is wrong by d to starboard has it go 2 d to the south."""
-    pose = np.zeros((6, 6))
-    pose[0, 0], pose[5, 5] = 1e-9, 0.01
-    covariance = estimate(linear=(2.0, 0.0, 0.0), pose_covariance=pose).covariance
-    expected = np.diag([0.0, 1e-9, 0.0, 0.0, 0.0, 0.0])
-    expected[4, 4], expected[2, 2], expected[2, 4], expected[4, 2] = 0.01, 0.04, -0.02, -0.02
-    np.testing.assert_allclose(covariance, expected, atol=1e-12)
-
-
 @pytest.mark.parametrize("first", [0.0, -1.0, 1e6, math.inf])
 def test_a_covariance_that_nobody_knows_is_none(first: float) -> None:
     """All zeros, -1 in the first entry, or a million for each quantity; of both pose and twist."""
