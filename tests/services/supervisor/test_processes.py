@@ -243,7 +243,7 @@ def test_the_page_shows_what_is_prepared(whole: WatchedRun) -> None:
 @pytest.fixture(scope="module")
 def without_room(tmp_path_factory: pytest.TempPathFactory) -> WatchedRun:
     """Run on a disk that takes the settings, and not a second of the recording."""
-    s = run_config(1.0)
+    s = run_config(3.0)
     run = folder.make("test", s.files, out=tmp_path_factory.mktemp("without_room") / "run")
     screen, page = Screen(), Page()
     with largest_file(100_000):
