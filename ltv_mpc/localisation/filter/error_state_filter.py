@@ -168,9 +168,9 @@ class ErrorStateFilter:
         belief.t_ns = t_ns
 
     def _cross_gap(self, t_ns: int, sample: ImuSample, gap_ns: int) -> None:
-        """Propagate to ``t_ns`` within the gap of ``gap_ns`` before ``sample``, where nothing was measured."""
+        """Propagate to ``t_ns`` within a gap, of which ``gap_ns`` is left before ``sample``: nothing was measured."""
         state, belief = self._state, self.belief
-        seconds, gap_s = (t_ns - belief.t_ns) * 1e-9, gap_ns * 1e-9
+        seconds, gap_s = (t_ns - belief.t_ns) * 1e-9, (state.coasted_ns + gap_ns) * 1e-9
         if gap_ns <= imu_dropout.MAX_BRIDGED_NS:
             self._integrate(t_ns, sample)
             imu_dropout.inflate(state.Q, seconds, gap_s)

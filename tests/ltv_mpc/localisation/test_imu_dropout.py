@@ -61,6 +61,17 @@ def test_coasting_over_a_gap_is_the_same_in_one_part_and_in_two():
         np.testing.assert_allclose(one, two, rtol=1e-12, atol=1e-12)
 
 
+def test_estimates_within_a_gap_do_not_change_its_covariance():
+    of, ends = dive(REALISTIC, 4, duration_s=8.0), []
+    sample = next(m for m in of.messages if isinstance(m, ImuSample) and m.t_ns == 7 * S)
+    for stops in ((), (5 * S, 6 * S)):
+        filter_ = Run((m for m in of.messages if m.t_ns <= 4 * S), config=SHALLOW).estimator.filter
+        for t_ns in (*stops, 7 * S):
+            filter_.advance(t_ns, sample)
+        ends.append(filter_.propagated_belief().P)
+    np.testing.assert_allclose(*ends, rtol=1e-9, atol=1e-12)
+
+
 def test_a_sample_that_comes_a_little_early_leaves_no_gap():
     nothing = (0.0, 0.0, 0.0)
     sample = ImuSample(t_ns=S, interval_ns=10_000_000, angular_rate_radps=nothing, specific_force_mps2=nothing)
