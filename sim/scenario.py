@@ -19,8 +19,6 @@ from ltv_mpc.errors import ConfigError, format_value
 from ltv_mpc.localisation.config import EstimatorConfig
 
 MAX_WATER_CELLS = 20_000
-MAX_ESTIMATOR_CELLS = 220
-"""Each cell adds two states to the filter. With more, a checkpoint of its covariance would exceed a message."""
 
 GRAVITY_MPS2 = 9.81
 STEEPEST = 1.0 / 7.0
@@ -191,7 +189,7 @@ class Scenario(_Table, frozen=True, kw_only=True):
 
 def checked(scenario: Scenario, *, source: str) -> Scenario:
     """Return the scenario after the checks that involve more than one field. Raises ``ConfigError``."""
-    water, estimator = scenario.water, scenario.estimator
+    water = scenario.water
     if water.kind == "measured" and not water.file:
         raise ConfigError(source, "[water] file", 'must name a currents CSV where kind = "measured"', value="")
     if water.kind == "markov" and water.file:
@@ -211,13 +209,11 @@ def checked(scenario: Scenario, *, source: str) -> Scenario:
     if plant.depth_m >= SURFACED_M and max(plant.wind.force_N, plant.wind.gust_N) > 0.0:
         problem = f"must be less than {SURFACED_M} where [plant.wind] has a force: deeper, no wind acts"
         raise ConfigError(source, "[plant] depth_m", problem, value=plant.depth_m)
-    for table, deepest_m, cell_m, most in (
-        ("water", water.deepest_m, water.cell_m, MAX_WATER_CELLS),
-        ("estimator", estimator.deepest_m, estimator.cell_m, MAX_ESTIMATOR_CELLS),
-    ):
-        if not 1 <= deepest_m / cell_m <= most:
-            problem = f"must be <= deepest_m = {deepest_m:g}, and at least {deepest_m / most:g}: at most {most} cells"
-            raise ConfigError(source, f"[{table}] cell_m", problem, value=cell_m)
+    if not 1 <= water.deepest_m / water.cell_m <= MAX_WATER_CELLS:
+        at_least = f"{water.deepest_m / MAX_WATER_CELLS:g}: at most {MAX_WATER_CELLS} cells"
+        problem = f"must be <= deepest_m = {water.deepest_m:g}, and at least {at_least}"
+        raise ConfigError(source, "[water] cell_m", problem, value=water.cell_m)
+    scenario.estimator.checked(source, "[estimator] ")
     return scenario
 
 

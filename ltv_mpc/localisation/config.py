@@ -8,6 +8,10 @@ import msgspec
 from msgspec import Meta
 
 from ltv_mpc import config
+from ltv_mpc.errors import ConfigError
+
+MAX_CELLS = 220
+"""Each cell adds two states to the filter. With more, a checkpoint of its covariance would exceed a message."""
 
 
 class EstimatorConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -35,4 +39,18 @@ class EstimatorConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
         ----------
         path : of the file, with a suffix or a slash.
         """
-        return config.load(path, cls, what="estimator settings", package=None)
+        return config.load(path, cls, what="estimator settings", package=None).checked(path)
+
+    def checked(self, source: str, table: str = "") -> EstimatorConfig:
+        """Return these settings if their grid of depths has neither too many cells nor none. Raises ``ConfigError``.
+
+        Parameters
+        ----------
+        source : file and ``table`` of these settings, for the error.
+        table : such as "[estimator] ", with a space after it.
+        """
+        if not 1 <= self.deepest_m / self.cell_m <= MAX_CELLS:
+            at_least = f"{self.deepest_m / MAX_CELLS:g}: at most {MAX_CELLS} cells"
+            problem = f"must be <= deepest_m = {self.deepest_m:g}, and at least {at_least}"
+            raise ConfigError(source, f"{table}cell_m", problem, value=self.cell_m)
+        return self

@@ -24,7 +24,7 @@ from msgspec.structs import replace
 
 from ltv_mpc import references
 from ltv_mpc.frames import rotation
-from ltv_mpc.localisation.config import EstimatorConfig
+from ltv_mpc.localisation.config import MAX_CELLS, EstimatorConfig
 from ltv_mpc.localisation.filter.state import grid
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors import fitted
@@ -34,7 +34,6 @@ from services.run.run_config import Override, RunConfig, resolve
 from services.tools import lockstep_run
 from services.tools.batch.executor import in_order
 from sim.evaluation.cramer_rao_bound import Trajectory, bound
-from sim.scenario import MAX_ESTIMATOR_CELLS
 
 DESCENT_S = 200.0
 """Length of a dive without a given duration (s)."""
@@ -181,7 +180,7 @@ def fly(dive: Dive) -> Flight:
 def deep_enough(config: EstimatorConfig, depth_m: float, range_m: float) -> EstimatorConfig:
     """Return the settings of the filter with a depth grid as deep as the beams; a very deep one has larger cells."""
     deepest_m = max(config.deepest_m, float(math.ceil(depth_m + range_m)))
-    return replace(config, deepest_m=deepest_m, cell_m=max(config.cell_m, deepest_m / MAX_ESTIMATOR_CELLS))
+    return replace(config, deepest_m=deepest_m, cell_m=max(config.cell_m, deepest_m / MAX_CELLS))
 
 
 def _fix_s(sensors: SensorConfig) -> float:
