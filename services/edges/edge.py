@@ -13,7 +13,6 @@ the edge returns. ``docs/edges.md`` builds an edge with it.
 from __future__ import annotations
 
 import abc
-import math
 from collections import deque
 from collections.abc import Iterable
 from typing import ClassVar, NamedTuple, TypeAlias
@@ -38,11 +37,6 @@ REPORT_NS = 100_000_000
 
 MAX_SENDERS = 100
 """Largest number of senders whose losses are counted."""
-
-
-def wrapped(angle: float) -> float:
-    """Return an angle in [-pi, pi]. That of ``ltv_mpc.frames`` is compiled, for which each process needs 40 MB."""
-    return math.remainder(angle, math.tau)
 
 
 class Refused(ValueError):

@@ -237,6 +237,8 @@ class MavlinkEdge(Edge):
                 return self.navigation.attitude(message)
             case "LOCAL_POSITION_NED":
                 return self.navigation.position(message)
+            case "ODOMETRY":
+                return self.navigation.odometry(message)
             case "EKF_STATUS_REPORT":
                 self.navigation.has_position = not message.flags & CONST_POSITION
             case "SYSTEM_TIME":

@@ -1,4 +1,4 @@
-"""Estimates from the autopilot's position and attitude, which are world NED and body FRD as here.
+"""Estimates from the autopilot's position, attitude and odometry, which are world NED and body FRD as here.
 
 Position and attitude have different stamps. An estimate is made at each stamp of a position, with the attitude between
 the two samples around it (linear; headings on the shorter way):
@@ -6,21 +6,24 @@ the two samples around it (linear; headings on the shorter way):
     heading rate = (q sin(roll) + r cos(roll)) / cos(pitch)
 
 A reset of the EKF moves position or heading at once. No estimate is interpolated across one, and resets are counted.
-The messages have no covariance: that of the settings is used.
+LOCAL_POSITION_NED and ATTITUDE have no covariance: that of the settings is used. ODOMETRY has those of pose and twist,
+as the 21 values of an upper triangle, row by row; one that is unknown begins with NaN, and is that of the settings.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
+from msgspec import structs
 
 from ltv_mpc.messages import Array, Estimate
-from services.edges.edge import Refused, wrapped
+from services.edges.edge import Refused
+from services.edges.pose import covariance, rotation, wrapped
 
 MS = 1_000_000  # ns
 MAX_WAIT_MS = 500
@@ -52,6 +55,13 @@ class Accuracy(msgspec.Struct, frozen=True):
         covariance: Array = np.diag(np.square(deviations))
         return covariance
 
+    @property
+    def pose_and_twist(self) -> tuple[Array, Array]:
+        """Covariances (6, 6) of position and rotation, and of velocity and angular velocity."""
+        pairs = (self.position_m, self.heading_rad), (self.velocity_mps, self.yaw_rate_radps)
+        pose, twist = (np.diag(np.square((linear,) * 3 + (0.0, 0.0, angular))) for linear, angular in pairs)
+        return pose, twist
+
 
 class _Attitude(NamedTuple):
     ms: int
@@ -75,6 +85,8 @@ class Navigation:
         self._attitudes: deque[_Attitude] = deque(maxlen=50)
         self._waiting: deque[_Position] = deque(maxlen=20)
         self._last: _Position | None = None  # newest position
+        self._odometry = False
+        self._reset_counter = -1
         self.has_position = True
         """False while the EKF is in its mode of constant position: positions are refused."""
         self.resets = 0
@@ -98,6 +110,8 @@ class Navigation:
         """Add a LOCAL_POSITION_NED; yield the estimates whose attitude is known. Raises ``Refused``."""
         if not self.has_position:
             raise Refused("position: the EKF has none")
+        if self._odometry:
+            raise Refused("position: the odometry is in use")
         x, y, z, vx, vy, vz = _finite(message.x, message.y, message.z, message.vx, message.vy, message.vz)
         sample = _Position(message.time_boot_ms, (x, y, z), (vx, vy, vz))
         last = self._last
@@ -112,6 +126,37 @@ class Navigation:
         self._last = sample
         self._waiting.append(sample)
         return self._ready()
+
+    def odometry(self, message: Any) -> Iterator[Estimate]:
+        """Convert an ODOMETRY of the local NED frame, body FRD. Raises ``Refused``."""
+        frame, body = message.frame_id, message.child_frame_id
+        if frame not in (1, 20) or body != 12:  # LOCAL_NED, LOCAL_FRD; BODY_FRD
+            raise Refused(f"odometry: frames {frame}, {body} must be local NED and body FRD")
+        x, y, z, u, v, w, q, r = _finite(
+            message.x, message.y, message.z, message.vx, message.vy, message.vz, message.pitchspeed, message.yawspeed
+        )
+        R = rotation(*_finite(*message.q))
+        roll, pitch = math.atan2(R[2, 1], R[2, 2]), -math.asin(max(-1.0, min(1.0, R[2, 0])))
+        rate = _heading_rate(roll, pitch, q, r)
+        velocity, rates = R @ (u, v, w), R @ (*_finite(message.rollspeed), q, r)
+        sample = _Position(message.time_usec // 1000, (x, y, z), (velocity[0], velocity[1], velocity[2]))
+        heading = math.atan2(R[1, 0], R[0, 0])
+        estimate = self._estimate(sample, heading, rate, message.time_usec * 1000)
+        pose, twist = _matrix("pose", message.pose_covariance), _matrix("velocity", message.velocity_covariance)
+        if pose is not None or twist is not None:
+            assumed_pose, assumed_twist = self._accuracy.pose_and_twist
+            turn, cos, sin = np.eye(6), math.cos(heading), math.sin(heading)
+            turn[3:5, 3:5] = (cos, -sin), (sin, cos)  # roll and pitch are small, and about axes that have the heading
+            pose = assumed_pose if pose is None else turn @ pose @ turn.T
+            P = covariance(R, velocity, rates, pose, assumed_twist if twist is None else twist)
+            estimate = structs.replace(estimate, covariance=P)
+        return self._by_odometry(estimate, message.reset_counter)
+
+    def _by_odometry(self, estimate: Estimate, reset_counter: int) -> Iterator[Estimate]:
+        yield estimate
+        if self._reset_counter not in (-1, reset_counter):  # it was accepted
+            self.resets += 1
+        self._reset_counter, self._odometry = reset_counter, True
 
     def _in_order(self, ms: int, newest_ms: int) -> bool:
         """Return False for a late or repeated sample. A large step backwards is a restart of the autopilot."""
@@ -139,12 +184,12 @@ class Navigation:
             if self._attitudes[0].ms <= position.ms and newest.ms - position.ms <= MAX_WAIT_MS:
                 ms, headings, rates = zip(*self._attitudes, strict=True)
                 heading = wrapped(float(np.interp(position.ms, ms, np.unwrap(headings))))
-                yield self._estimate(position, heading, float(np.interp(position.ms, ms, rates)))
+                yield self._estimate(position, heading, float(np.interp(position.ms, ms, rates)), position.ms * MS)
 
-    def _estimate(self, position: _Position, heading_rad: float, rate_radps: float) -> Estimate:
+    def _estimate(self, position: _Position, heading_rad: float, rate_radps: float, t_ns: int) -> Estimate:
         (north, east, down), (v_north, v_east, v_down) = position.place_m, position.velocity_mps
         return Estimate(
-            t_ns=position.ms * MS,
+            t_ns=t_ns,
             north_m=north,
             east_m=east,
             depth_m=down if self._dives else None,
@@ -169,3 +214,15 @@ def _finite(*values: float) -> tuple[float, ...]:
     if not all(map(math.isfinite, values)):
         raise Refused("not a number, in position, velocity or attitude")
     return values
+
+
+def _matrix(name: str, triangle: Sequence[float]) -> Array | None:
+    """Return the covariance (6, 6) of an upper triangle, row by row; None if unknown. Raises ``Refused``."""
+    if math.isnan(triangle[0]) or not any(triangle):
+        return None
+    P = np.zeros((6, 6))
+    P[np.triu_indices(6)] = triangle
+    P += np.triu(P, 1).T
+    if not np.isfinite(P).all():
+        raise Refused(f"odometry: {name} covariance has values that are not finite")
+    return P

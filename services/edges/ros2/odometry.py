@@ -11,12 +11,6 @@ The axes of ``pose.covariance`` are those of ``header.frame_id``, those of ``twi
 ``child_frame_id``. By the customs of ROS a matrix is not given if its first entry is 0 or -1, and a quantity if its
 variance is negative or at least ``UNKNOWN``. Such a quantity adds nothing to the others. If some are given, position
 and heading that are not have the variances of ``NOT_GIVEN``, which the controller assumes without a covariance.
-
-A small attitude error d, about the axes of the world, affects the velocity v and the angular velocity w too:
-
-    R -> (1 + [d]) R,    d(R v) = -[R v] d + R dv,    d(R w)_down = (-[R w] d + R dw)_down
-
-The covariance of the estimate is J P J^T with P = diag(pose, twist).
 """
 
 from __future__ import annotations
@@ -27,7 +21,8 @@ from typing import Any
 import numpy as np
 
 from ltv_mpc.messages import Array, CurrentProfile, Estimate
-from services.edges.edge import MAX_STAMP_NS, Refused, wrapped
+from services.edges.edge import MAX_STAMP_NS, Refused
+from services.edges.pose import covariance, rotation, wrapped
 
 OTHER_CONVENTIONS = ("ned", "frd")
 """Suffixes by which REP 103 marks frames that are not ENU or FLU, as in ``odom_ned``."""
@@ -38,9 +33,6 @@ UNKNOWN = {"pose": np.repeat([1e6, 10.0], 3), "twist": np.full(6, 1e6)}
 
 NOT_GIVEN = {0: (1, 5.0**2), 1: (0, 5.0**2), 5: (4, 0.5**2)}
 """Row of the estimate's covariance and its variance, by the row of the pose: x is east, y is north, then yaw."""
-
-UNIT = 1e-3
-"""Largest deviation of a quaternion's length from 1."""
 
 KINDS = "pose", "twist"
 
@@ -76,16 +68,6 @@ def estimate_of(message: Any, current: CurrentProfile | None = None) -> Estimate
         covariance=_covariance(R, velocity, rate, message),
         current=current,
     )
-
-
-def rotation(w: float, x: float, y: float, z: float) -> Array:
-    """Return R (3, 3) of a quaternion, body to world. Raises ``Refused`` if its length is not 1."""
-    length = math.sqrt(w * w + x * x + y * y + z * z)
-    if not abs(length - 1.0) <= UNIT:  # also true for NaN
-        raise Refused(f"orientation: a quaternion of length {length:.3g}, not 1")
-    cross = np.cross(np.eye(3), (x / length, y / length, z / length))  # [v], of the vector part
-    R: Array = np.eye(3) + 2.0 * w / length * cross + 2.0 * cross @ cross
-    return R
 
 
 def check_frames(*names: str) -> None:
@@ -133,28 +115,7 @@ def _covariance(R: Array, velocity: Array, rate: Array, message: Any) -> Array |
     if not (pose_given[[0, 1, 5]].any() or twist_given[[0, 1, 5]].any()):
         return None
     world, body = np.kron(np.eye(2), NED), np.kron(np.eye(2), FRD)
-    P = _propagated(NED @ R @ FRD, NED @ velocity, NED @ rate, world @ pose @ world, body @ twist @ body)
+    P = covariance(NED @ R @ FRD, NED @ velocity, NED @ rate, world @ pose @ world, body @ twist @ body)
     for row, (to, variance) in NOT_GIVEN.items():
         P[to, to] += 0.0 if pose_given[row] else variance
     return P
-
-
-def _propagated(R: Array, velocity: Array, rate: Array, pose: Array, twist: Array) -> Array:
-    """Return the covariance (6, 6) of north, east, velocity north, east, heading and yaw rate.
-
-    Parameters
-    ----------
-    R : rotation (3, 3), body FRD to world NED.
-    velocity, rate : velocity over ground and angular velocity (3,) in NED (m/s, rad/s).
-    pose : covariance (6, 6) of the position and of rotations about the axes of NED.
-    twist : covariance (6, 6) of velocity and angular velocity in FRD.
-    """
-    P = np.zeros((12, 12))
-    P[:6, :6], P[6:, 6:] = pose, twist
-    velocity_by_turn, rate_by_turn = -np.cross(np.eye(3), velocity), -np.cross(np.eye(3), rate)  # -[v], -[w]
-    J = np.zeros((6, 12))
-    J[0, 0] = J[1, 1] = J[4, 5] = 1.0
-    J[2:4, 3:6], J[2:4, 6:9] = velocity_by_turn[:2], R[:2]
-    J[5, 3:6], J[5, 9:12] = rate_by_turn[2], R[2]
-    P = J @ P @ J.T
-    return 0.5 * (P + P.T)

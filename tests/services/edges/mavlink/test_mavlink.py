@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import msgspec
@@ -308,6 +308,55 @@ def test_a_reset_of_the_filter_is_counted_and_nothing_is_interpolated_across_it(
     assert len(list(navigation.attitude(attitude(1200, 0.8)))) == 1
     list(navigation.position(position(1250, 4.0)))  # the position has jumped
     assert navigation.resets == 2
+
+
+UNKNOWN = [math.nan] * 21
+EAST = (math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))
+
+
+def odometry(frame: int = 1, child: int = 12, q: Sequence[float] = EAST, reset: int = 0, **given: list[float]) -> Any:
+    """Return an ODOMETRY that goes ahead at 1 m/s and turns by 0.2 rad/s; ``pose`` and ``twist`` are covariances."""
+    covariances = given.get("pose", UNKNOWN), given.get("twist", UNKNOWN)
+    motion = (1.0, 0.0, 0.0, 0.0, 0.0, 0.2)
+    return codec().make.odometry_encode(5_000_000, frame, child, 1.0, 2.0, 0.0, q, *motion, *covariances, reset)
+
+
+def triangle(entries: dict[tuple[int, int], float]) -> list[float]:
+    """Return the 21 values of an upper triangle."""
+    return [entries.get((row, column), 0.0) for row in range(6) for column in range(row, 6)]
+
+
+def test_odometry_has_its_own_attitude_and_excludes_positions() -> None:
+    navigation = Navigation(Accuracy(), dives=False)
+    (estimate,) = navigation.odometry(odometry())
+    assert estimate.heading_rad == pytest.approx(math.pi / 2)
+    assert (estimate.velocity_north_mps, estimate.velocity_east_mps) == pytest.approx((0.0, 1.0), abs=1e-9)
+    assert (estimate.yaw_rate_radps, estimate.t_ns) == (pytest.approx(0.2), 5_000_000_000)
+    np.testing.assert_allclose(estimate.covariance, Accuracy().covariance)
+    with pytest.raises(Refused, match="odometry is in use"):
+        navigation.position(position(6000))
+    list(navigation.odometry(odometry(reset=1)))
+    assert navigation.resets == 1
+    for broken in ({"frame": 8}, {"child": 8}, {"q": (0.0,) * 4}, {"q": (math.nan, 0.0, 0.0, 1.0)}):
+        with pytest.raises(Refused):
+            navigation.odometry(odometry(**broken))
+    with pytest.raises(Refused, match="pose covariance"):
+        navigation.odometry(odometry(pose=[1.0, *UNKNOWN[1:]]))
+
+
+def test_the_covariances_of_odometry_are_used_as_far_as_they_are_known() -> None:
+    """Heading east at 1 m/s: surge is the velocity east, and a heading too far to starboard has it go to the south."""
+    navigation = Navigation(Accuracy(), dives=False)
+    pose = triangle({(0, 0): 4.0, (0, 1): 1.0, (1, 1): 9.0, (5, 5): 0.04})
+    (known,) = navigation.odometry(odometry(pose=pose, twist=triangle({(0, 0): 0.25, (5, 5): 0.01})))
+    expected = np.diag([4.0, 9.0, 0.04, 0.25, 0.04, 0.01])
+    expected[0, 1] = expected[1, 0] = 1.0
+    expected[2, 4] = expected[4, 2] = -0.04
+    np.testing.assert_allclose(known.covariance, expected, atol=1e-6)
+    (half_known,) = navigation.odometry(odometry(pose=pose))
+    assert half_known.covariance is not None
+    assert half_known.covariance[0, 0] == pytest.approx(4.0)
+    assert half_known.covariance[3, 3] == pytest.approx(Accuracy().velocity_mps ** 2)
 
 
 def test_a_filter_without_a_position_gives_no_estimate() -> None:
