@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -26,17 +27,20 @@ from ltv_mpc.geofence.fence import fence_for
 from ltv_mpc.messages import (
     Action,
     Command,
+    ControllerState,
     ControllerStatus,
     Estimate,
     Manual,
     Message,
+    RejectedFrame,
     Solve,
     SolveStatus,
 )
 from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.references import Reference
 from ltv_mpc.vehicle.parameters import Vehicle
-from services.bus.topics import BY_TYPE
+from services.bus.options import BusOptions
+from services.bus.topics import BY_TYPE, Topic
 from services.processes import settings
 from services.processes.checkpoint import Checkpoint
 from services.run.settings_files import TOO_LARGE, controller_files, node_settings
@@ -80,12 +84,12 @@ def main(config: Config) -> int:
         stack.callback(console.close)
 
         def show(status: ControllerStatus) -> None:
-            line = status_line(status, "/".join(filter(None, (bus.namespace, BY_TYPE[Estimate].key))))
+            line = status_line(status, key_in(bus, BY_TYPE[Estimate]))
             console.show(line)
             LIFELINE.status(line)
 
         for text in (
-            *announcement(control),
+            *announcement(bus, control),
             *notes,
             *reference.notes(vehicle),
             *([TOO_LARGE] if published is None else []),
@@ -137,13 +141,37 @@ class FailedQps:
         self._say(f"a QP was not solved ({failed.solve.why}); saved: ltv-mpc qp show {path}")
 
 
-def announcement(config: ResolvedConfig) -> tuple[str, str]:
-    """Return the lines printed at the start: horizon and rate, and where the messages are described."""
+INTERNAL_TYPES = (ControllerState, RejectedFrame)
+"""Messages that other publishers do not need: for a restarted controller, and the controller's own process."""
+
+
+def key_in(bus: BusOptions, topic: Topic) -> str:
+    """Return the key of a topic with the bus's namespace."""
+    return f"{bus.namespace}/{topic.key}" if bus.namespace else topic.key
+
+
+def announcement(bus: BusOptions, config: ResolvedConfig) -> Iterator[str]:
+    """Generate the lines printed at the start: horizon and rate, then each key read or written with rate and fields."""
     horizon = f"{config.horizon_s:g} s in {config.stages} stages"
-    return (
-        f"horizon {horizon}, {1e9 / config.period_ns:.3g} cycles per second",
-        "`ltv-mpc topics` lists the keys that it reads and writes, `ltv-mpc topics KEY` the fields of one",
-    )
+    yield f"horizon {horizon}, {1e9 / config.period_ns:.3g} cycles per second"
+    yield "SI units and radians, north-east-down; each field name ends with its unit; `ltv-mpc topics KEY` lists them"
+    inputs = [kind for kind in ControllerNode.reads if BY_TYPE[kind].written_by != ControllerNode.name]
+    outputs: list[type[Message]] = [*ControllerNode.writes, ControllerStatus]
+    inputs, outputs = ([kind for kind in kinds if kind not in INTERNAL_TYPES] for kinds in (inputs, outputs))
+    for verb, kinds in (("reads ", inputs), ("writes", outputs)):
+        for kind in kinds:
+            topic = BY_TYPE[kind]
+            period_ns = config.period_ns if topic.period_ns and topic.key == "plan" else topic.period_ns
+            rate = f"{1e9 / period_ns:.3g} /s" if period_ns else "on events"
+            yield f"{verb} {key_in(bus, topic):<24} {rate:<9}  {_fields(kind)}"
+
+
+def _fields(kind: type[Message]) -> str:
+    """Return the names of the required fields, then those of the optional fields in brackets."""
+    fields = msgspec.structs.fields(kind)
+    needed = ", ".join(field.name for field in fields if field.required)
+    optional = ", ".join(field.name for field in fields if not field.required)
+    return f"{needed} [{optional}]" if optional else needed
 
 
 def warm_up(vehicle: Vehicle, reference: Reference, config: ControllerConfig) -> None:

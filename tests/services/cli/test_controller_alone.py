@@ -1,13 +1,19 @@
-"""``ltv-mpc controller``: its options."""
+"""``ltv-mpc controller``: its options and its output before the first message."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+import msgspec
 import pytest
 
+from ltv_mpc import ControllerConfig, Vehicle
+from ltv_mpc.control.resolution import settled
+from services.bus.options import BusOptions
 from services.cli.app import run
 from services.processes import controller
+
+SETTLED = settled(ControllerConfig(), Vehicle.load("paper"))
 
 
 @pytest.fixture
@@ -51,3 +57,19 @@ def test_a_checkpoint_arms_only_with_an_option_and_for_a_minute(started: list[co
     kept = [(config.state, config.arms_within_s) for config in started]
     folder = Path("s")
     assert kept == [(None, None), (folder, None), (folder, 60.0), (folder, 5.0)]
+
+
+def test_it_names_every_key_in_its_namespace_with_rate_and_fields() -> None:
+    lines = list(controller.announcement(BusOptions(namespace="auv/7"), msgspec.structs.replace(SETTLED, period_s=0.2)))
+    told = {line.split()[1]: line for line in lines if line.startswith(("reads", "writes"))}
+    keys = "estimate, applied, command, manual, heartbeat, battery, leak, obstacles, plan, fence, acknowledged, model"
+    assert set(told) == {f"auv/7/{key}" for key in (*keys.split(", "), "controller/status")}
+    estimate = told["auv/7/estimate"]
+    assert estimate.startswith("reads")
+    assert " 10 /s " in estimate
+    needed, optional = estimate.split("[")
+    assert needed.endswith("t_ns, north_m, east_m, heading_rad, yaw_rate_radps, velocity_north_mps, velocity_east_mps ")
+    assert optional == "depth_m, velocity_down_mps, altitude_m, covariance, current]"
+    assert told["auv/7/plan"].startswith("writes")
+    assert " 5 /s " in told["auv/7/plan"]
+    assert " on events " in told["auv/7/command"]
