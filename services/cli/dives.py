@@ -33,6 +33,9 @@ def plan_(
     reference: Annotated[str | None, option("NAME|FILE", "Reference to follow instead of a vertical descent.")] = None,
     fixes: Annotated[str, option("N,...", "Satellite fixes before the dive. The first is the plan.")] = "1,10,30,120",
     limit_m: Annotated[float | None, option("L", "Drift of one axis (m) whose time is wanted.", min=0.001)] = None,
+    against: Annotated[
+        str | None, option("RUN", "Compare with a recorded run: its folder, run.mcap, or latest.")
+    ] = None,
     runs: Annotated[int, option("N", "Number of simulated dives per number of fixes.", min=1, max=100)] = 4,
     as_json: Json = False,
     force: Force = False,
@@ -43,6 +46,10 @@ def plan_(
     Simulates the dive a few times and computes the posterior Cramer-Rao bound along each track, the smallest drift that
     these sensors allow.
     """
+    import msgspec
+
+    from services.recording.reader import Recording
+    from services.recording.recover import segments
     from services.reporting.terminal import progress_bar
     from services.run import folder
     from services.tools.dive_plan import plan, report
@@ -52,9 +59,11 @@ def plan_(
     numbers = _numbers(fixes)
     wanted = plan.Dive(sensors, reference, duration_s, 40.0 if depth_m is None else depth_m, max(numbers), 0)
     wanted.run_config()
+    recorded = None if against is None else report.recorded_drift(Recording(*segments(folder.find(against))))
     file = None if out is None else folder.open_folder(out, force=force) / "dive-plan.json"
     with progress_bar(f"dives with {sensors} sensors") as progress:
         result = plan.plan(wanted, fixes=numbers, runs=runs, limit_m=limit_m, progress=progress)
+    result = msgspec.structs.replace(result, against=recorded)
     if file is not None:
         with plots_or_a_line("no plots"):
             report.write(result, file.with_suffix(".html"))

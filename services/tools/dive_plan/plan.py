@@ -76,6 +76,14 @@ SOURCES: dict[str, tuple[str, ...]] = {
 """Sources of the error budget, and the settings that are their standard deviations; ``water`` is [estimator]."""
 
 
+class RecordedDrift(msgspec.Struct, frozen=True, kw_only=True):
+    """Drift of a recorded run over time."""
+
+    t_s: list[float]
+    drift_m: list[float]
+    kind: str  # "true": estimate minus truth, rms of both axes; "reported": growth of the filter's sigma
+
+
 class DivePlan(msgspec.Struct, frozen=True, kw_only=True):
     """Content of dive-plan.json. Drifts are standard deviations of one horizontal axis."""
 
@@ -94,6 +102,7 @@ class DivePlan(msgspec.Struct, frozen=True, kw_only=True):
     gains_m: dict[str, float]  # drift at the end after each change, with the first number of fixes
     not_counted: list[str]  # sensors of the file that the bound does not include
     notes: list[str]  # what the vehicle cannot do of the reference
+    against: RecordedDrift | None = None
 
 
 class Case(NamedTuple):

@@ -149,6 +149,7 @@ CASES = [
     ("dive plan --fixes 0 --out fresh", "from 1 to 3600"),
     ("dive plan --sensors perfect --out fresh", "perfect"),
     ("dive plan --reference nowhere --out fresh", "nowhere"),
+    ("dive plan --against no-such-run --out fresh", "no-such-run"),
     ("dive plan --duration-s 5 --out fresh", "--duration-s"),
     ("dive plan --depth-m 1001 --out fresh", "--depth-m"),
     ("profile --solvers osqp,ospq", 'option --solvers: "ospq"'),

@@ -1,4 +1,4 @@
-"""Plan of a dive: agreement with the localisation check, error budget, gains, and the command."""
+"""Plan of a dive: agreement with the localisation check, error budget, gains, recorded runs, and the command."""
 
 from __future__ import annotations
 
@@ -18,12 +18,16 @@ from msgspec.structs import replace
 from benchmarks.batch import Job
 from benchmarks.localisation_check.consistency import band
 from benchmarks.localisation_check.probe import descend
+from ltv_mpc.errors import ConfigError
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.sensor_config import SensorConfig
+from ltv_mpc.messages import Truth
 from services.cli.app import run
+from services.recording.reader import Recording
+from services.run.folder import RunFolder
 from services.tools import lockstep_run
 from services.tools.batch import executor
-from services.tools.dive_plan import plan
+from services.tools.dive_plan import plan, report
 from services.tools.dive_plan.plan import Dive, DivePlan
 from sim.evaluation.cramer_rao_bound.model import ACCELEROMETER_BIAS, BEAM_BIAS, GYRO_BIAS, MOUNTING, ErrorModel
 from tests.ltv_mpc.localisation.sensors.every_sensor import EVERY_SENSOR
@@ -133,6 +137,29 @@ def test_a_path_ends_the_dive_where_it_is_complete(tmp_path: Path) -> None:
     # from where the estimate is at t = 0, metres off, to the line, and along it
     flight = plan.fly(Dive("paper", str(path), None, DEPTH_M, 1, seed=0))
     assert 8.0 < flight.case.at_s[-1] < 200.0
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
+    folder = tmp_path_factory.mktemp("runs") / "recorded"
+    assert run(["sim", "descent", "--lockstep", "--duration-s", "4", "--out", str(folder)]) == 0
+    return RunFolder(folder)
+
+
+def test_the_drift_of_a_recorded_run_is_its_localisation_error(recorded: RunFolder) -> None:
+    found = report.recorded_drift(Recording(recorded.recording))
+    final = json.loads((recorded.path / "summary.json").read_text())["localisation_error_m"]["final"]
+    assert (found.kind, found.t_s) == ("true", [1.0, 2.0, 3.0, 4.0])
+    assert found.drift_m[-1] == pytest.approx(final / math.sqrt(2.0), rel=1e-6)
+
+
+def test_without_a_truth_the_filter_s_own_sigma_is_laid_over_the_plan(recorded: RunFolder) -> None:
+    messages = [message for message in Recording(recorded.recording) if message.kind is not Truth]
+    found = report.recorded_drift(messages)
+    assert (found.kind, found.t_s) == ("reported", [1.0, 2.0, 3.0, 4.0])
+    assert all(drift >= 0.0 for drift in found.drift_m)
+    with pytest.raises(ConfigError, match="--against"):
+        report.recorded_drift([])
 
 
 def test_the_command_prints_json_and_writes_its_folder(output: Output) -> None:
