@@ -44,13 +44,14 @@ from services.bus.topics import BY_TYPE, Topic
 from services.processes import settings
 from services.processes.checkpoint import Checkpoint
 from services.run.settings_files import TOO_LARGE, controller_files, node_settings
+from services.runtime import metrics as prometheus
 from services.runtime.console import Console
 from services.runtime.controller_status import ControllerStatusReporter, StatusSink, status_line
 from services.runtime.lifeline import LIFELINE
 from services.runtime.process_time import ClockOptions
 from services.runtime.runner import Runner
 from services.runtime.stage_timer import StageTimer
-from services.runtime.stopping import Say
+from services.runtime.stopping import FAILED, Say
 
 Config = settings.Controller
 
@@ -63,9 +64,15 @@ def main(config: Config) -> int:
     fence = fence_for(vehicle, reference, fence_file, notes)
     control, bus = config.resolved(), config.bus
     bottom = bathymetry_for(reference, control.limits, soundings)
-    console = Console(ControllerNode.name, as_json=config.log_json)
+    metrics, console = prometheus.Metrics(), Console(ControllerNode.name, as_json=config.log_json)
     LIFELINE.connect(os.environ)
     with contextlib.ExitStack() as stack:
+        if config.metrics is not None:
+            try:
+                stack.enter_context(prometheus.serving(metrics, config.metrics))
+            except OSError as error:
+                console.say(f"--metrics {config.metrics}: {error.strerror}")
+                return FAILED
         checkpoint = None
         if config.state is not None:
             checkpoint = Checkpoint(config.state, to_toml(reference), resume_within_s=arms_within_s, console=console)
@@ -95,14 +102,14 @@ def main(config: Config) -> int:
             *([TOO_LARGE] if published is None else []),
         ):
             console.say(text)
-        shown: list[StatusSink] = [show]
+        shown: list[StatusSink] = [show, metrics.show]
         if checkpoint is not None:
             shown.append(checkpoint.show)
         if config.failed_qps is not None:
             shown.append(FailedQps(recorder, config.failed_qps, console.say).show)
         runner = Runner(
             node,
-            clock=ClockOptions(sync_to_inputs=True),
+            clock=ClockOptions(sync_to_inputs=True, input_delay_ns=round(config.input_delay_s * 1e9)),
             compute_delay_ns=round(config.compute_delay_s * 1e9),
             stages=node_stages,
             report=ControllerStatusReporter(node, shown, console.tell, checkpoint),

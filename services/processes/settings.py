@@ -106,6 +106,12 @@ class Controller(ProcessSettings, frozen=True, kw_only=True):
         Annotated[float, setting("H", "Length of a plan (s). Default: proposed by `vehicle check`.", ge=0.3, le=120)]
         | None
     ) = None
+    metrics: Annotated[int, setting("PORT", "Serve /metrics for Prometheus on 127.0.0.1.", ge=1, le=65535)] | None = (
+        None
+    )
+    input_delay_s: Annotated[
+        float, setting("D", "Least delay of an estimate (s), without clock and plan reports in applied.", ge=0, le=10)
+    ] = 0.0
     failed_qps: Annotated[Path | None, setting("DIR", "Store unsolved QPs here, for `ltv-mpc qp show`.")] = None
     state: Annotated[Path | None, setting("DIR", "Keep a checkpoint here, and continue from it after a start.")] = None
     resume_armed: Annotated[bool, setting("", "Continue armed; without it: disarmed.")] = False

@@ -18,9 +18,10 @@ A clock that is set by less than a round trip contradicts no bound: until the ol
 at most that round trip. Delays that jump, and messages that are out of order, duplicated or lost, only leave the bounds
 wider.
 
-    one-way mode (no reports of received plans):   theta = lower
+    one-way mode (no reports of received plans):   theta = lower + d
 
-The reading is then behind by the smallest delay to us; one-way messages cannot tell how much that is.
+d is the smallest delay to us, from the settings, else 0. The reading is then behind by the true smallest delay minus d;
+one-way messages cannot tell how much that is.
 
 A clock that is set makes the bounds contradict each other, because it moves theta. Then the old bounds are discarded:
 
@@ -121,7 +122,9 @@ class _Suspects:
 class ClockOffsetEstimator:
     """Estimator of theta by bounds. It reads no clock: our times are in us, the publisher's in ns."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, input_delay_ns: int = 0) -> None:
+        """``input_delay_ns``: smallest delay of the publisher's messages, used in one-way mode."""
+        self._input_delay_ns = input_delay_ns
         self._lower, self._upper = OffsetBounds(1), OffsetBounds(-1)
         self._settled_us: int | None = None  # end of the settling time
         self._newest = _Bound(0, 0)  # by the newest accepted stamp
@@ -191,7 +194,7 @@ class ClockOffsetEstimator:
         """Return the offset at ``now_us``; 0 before the first message."""
         low, high = self._lower.tightest(now_us) or 0, self._upper.tightest(now_us)
         if high is None:
-            return ClockOffset(ClockMode.ONE_WAY, low, None)
+            return ClockOffset(ClockMode.ONE_WAY, low + self._input_delay_ns, None)
         return ClockOffset(ClockMode.TWO_WAY, (high + low) // 2, (high - low + 1) // 2)
 
     @property

@@ -57,10 +57,10 @@ class ClockSync:
     plans that they received. A publisher is identified by its epoch.
     """
 
-    def __init__(self, clock: VehicleClock, *, epoch: int) -> None:
+    def __init__(self, clock: VehicleClock, *, epoch: int, input_delay_ns: int = 0) -> None:
         """``epoch``: the epoch under which this process publishes its plans."""
         self._clock = clock
-        self._epoch = epoch
+        self._epoch, self._input_delay_ns = epoch, input_delay_ns
         # By epoch, the one received last at the end.
         self._publishers: dict[int, ClockOffsetEstimator] = {}
         self._reference: int | None = None  # publisher whose clock the vehicle time and the plans follow
@@ -194,7 +194,7 @@ class ClockSync:
 
     def _publisher(self, epoch: int) -> ClockOffsetEstimator:
         """Return the estimator of a publisher's clock; a new one for a new publisher."""
-        publisher = self._publishers.pop(epoch, None) or ClockOffsetEstimator()
+        publisher = self._publishers.pop(epoch, None) or ClockOffsetEstimator(input_delay_ns=self._input_delay_ns)
         self._publishers[epoch] = publisher
         if len(self._publishers) > MAX_PUBLISHERS:
             del self._publishers[next(old for old in self._publishers if old != self._reference)]

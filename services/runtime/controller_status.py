@@ -36,7 +36,7 @@ StatusSink = Callable[[ControllerStatus], None]
 
 
 class ControllerStatusReporter:
-    """Reporter of the controller's status on the bus, and to each sink: the status line, the changes."""
+    """Reporter of the controller's status on the bus, and to each sink: the status line, the metrics, the changes."""
 
     def __init__(
         self,

@@ -28,6 +28,8 @@ class ClockOptions(NamedTuple):
     """Settings of the process that keeps the time; None for a follower."""
     sync_to_inputs: bool = False
     """Take the time from the inputs' stamps if no clock is announced."""
+    input_delay_ns: int = 0
+    """Smallest transport delay of the inputs, for the one-way mode of the synchronisation."""
     speed: float | None = None
     """Clock speed that this process expects; another one is an error. None: any."""
 
@@ -84,7 +86,7 @@ class ProcessTime:
             self.master = ClockMaster(
                 options.master, self.clock, node=node.name, epoch=epoch, now_us=monotonic_us(), publish=publish
             )
-        self.sync = ClockSync(self.clock, epoch=epoch)
+        self.sync = ClockSync(self.clock, epoch=epoch, input_delay_ns=options.input_delay_ns)
         self.syncs = options.sync_to_inputs
         """True if the time is taken from the inputs' stamps while no clock is announced."""
         self.schedule = StepSchedule(node.schedule, end_ns=options.master.end_ns if options.master else None)

@@ -133,6 +133,8 @@ CASES = [
     ("controller --rate-hz 0", "rate-hz"),
     ("controller --rate-hz nan", "rate-hz"),
     ("controller --rate-hz 0.1 --horizon-s 5", "period_s = 10.0: must be <= horizon_s = 5"),
+    ("controller --metrics 65536", "metrics"),
+    ("controller --input-delay-s -1", "input-delay-s"),
     ("controller --own-clock", "--own-clock"),
     ("ctl go", 'argument ACTION: "go": must be one of arm, disarm'),
     ("ctl arme", 'did you mean "arm"?'),

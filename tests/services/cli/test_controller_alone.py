@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 from pathlib import Path
 
 import msgspec
@@ -31,12 +32,13 @@ def started(monkeypatch: pytest.MonkeyPatch) -> list[controller.Config]:
 def test_rate_and_horizon_are_those_of_the_options_and_the_rest_of_the_file(tmp_path, started) -> None:
     settings = tmp_path / "settings.toml"
     settings.write_text("horizon_s = 3.0\nmax_iterations = 77\n")
-    words = f"controller --settings {settings} --rate-hz 5".split()
+    words = f"controller --settings {settings} --rate-hz 5 --metrics 9464 --input-delay-s 0.05".split()
     assert run(words) == 0
     assert run([*words, "--horizon-s", "6"]) == 0
     first, second = (config.resolved() for config in started)
     assert (first.period_ns, first.horizon_s, first.max_iterations) == (200_000_000, 3.0, 77)
     assert (second.period_ns, second.horizon_s, second.max_iterations) == (200_000_000, 6.0, 77)
+    assert (started[0].metrics, started[0].input_delay_s) == (9464, 0.05)
 
 
 def test_without_a_horizon_it_is_the_vehicle_s_own_also_beside_a_settings_file(tmp_path, started) -> None:
@@ -57,6 +59,14 @@ def test_a_checkpoint_arms_only_with_an_option_and_for_a_minute(started: list[co
     kept = [(config.state, config.arms_within_s) for config in started]
     folder = Path("s")
     assert kept == [(None, None), (folder, None), (folder, 60.0), (folder, 5.0)]
+
+
+def test_a_port_that_is_taken_is_said_and_nothing_is_started(capsys, monkeypatch) -> None:
+    monkeypatch.setattr(controller, "warm_up", lambda *_: pytest.fail("started"))
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        assert controller.main(controller.Config(bus=BusOptions(), metrics=port)) == 1
+    assert f"--metrics {port}: Address already in use" in capsys.readouterr().err
 
 
 def test_it_names_every_key_in_its_namespace_with_rate_and_fields() -> None:

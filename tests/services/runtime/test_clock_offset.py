@@ -86,15 +86,16 @@ def test_with_reports_the_true_time_is_within_half_the_smallest_round_trip(ppm, 
 
 
 @pytest.mark.parametrize("ppm", [-50.0, 50.0])
+@pytest.mark.parametrize("told_s", [0.0, 0.04])
 @pytest.mark.parametrize(("back", "least_s", "most_s"), [(jumping, -0.0001, 0.025), (steady, 0.0369, 0.0431)])
-def test_a_one_way_clock_is_behind_by_the_smallest_delay_and_states_no_error(ppm, back, least_s, most_s):
-    clock, theirs = ClockOffsetEstimator(), drifting(YEARS_NS, ppm)
+def test_a_one_way_clock_is_behind_by_the_smallest_delay_and_states_no_error(ppm, told_s, back, least_s, most_s):
+    clock, theirs = ClockOffsetEstimator(input_delay_ns=round(told_s * 1e9)), drifting(YEARS_NS, ppm)
     behind = []
     for m_us in exchanged(clock, theirs, out=steady, back=back, reports=False):
         reading = clock.read(m_us)
         assert reading.mode is ClockMode.ONE_WAY
         assert reading.error_ns is None
-        behind.append((theirs(m_us) - m_us * 1000 - reading.offset_ns) * 1e-9)
+        behind.append((theirs(m_us) - m_us * 1000 - reading.offset_ns) * 1e-9 + told_s)
     assert clock.clock_steps == 0
     settled = behind[len(behind) // 4 :]
     assert least_s <= min(settled) <= max(settled) <= most_s

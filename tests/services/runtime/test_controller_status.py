@@ -1,7 +1,10 @@
-"""Controller status: its figures and the status line."""
+"""Controller status: its figures, the status line, the metrics for Prometheus."""
 
 from __future__ import annotations
 
+import contextlib
+import http.client
+from collections.abc import Iterator
 from typing import Any
 
 import msgspec
@@ -29,6 +32,7 @@ from ltv_mpc.vehicle.reference_point import ReferencePoint
 from services.bus.message_validation import MessageValidator
 from services.runtime.clock_sync import ClockOffset
 from services.runtime.controller_status import ControllerStatusReporter, status_line
+from services.runtime.metrics import Metrics, serving
 from tests.services.edges.plans import plan
 
 STATUS = ControllerStatus(
@@ -181,6 +185,46 @@ def test_a_fence_in_force_is_an_event_and_a_change_also_before_the_first_estimat
     assert [event.t_ns for event in events] == [0, 600_000_000]
 
 
+@pytest.fixture
+def metrics(free_port: int) -> Iterator[Metrics]:
+    held = Metrics()
+    with serving(held, free_port):
+        yield held
+
+
+def asked(port: int, method: str = "GET", path: str = "/metrics", host: str | None = None) -> tuple[int, str]:
+    with contextlib.closing(http.client.HTTPConnection("127.0.0.1", port, timeout=10)) as connection:
+        connection.request(method, path, headers={} if host is None else {"Host": host})
+        answer = connection.getresponse()
+        return answer.status, answer.read().decode()
+
+
+def test_prometheus_reads_every_figure_in_seconds_with_labels_escaped(free_port: int, metrics: Metrics) -> None:
+    assert asked(free_port) == (200, "")
+    metrics.show(STATUS)
+    status, body = asked(free_port)
+    assert status == 200
+    lines = (line.rsplit(" ", 1) for line in body.splitlines() if not line.startswith("#"))
+    samples = {name: float(value) for name, value in lines}
+    assert samples['ltv_mpc_input_age_seconds{key="estimate"}'] == 0.04
+    assert samples['ltv_mpc_cycle_seconds{quantile="0.99"}'] == 0.0021
+    assert samples["ltv_mpc_received_total"] == 450
+    assert samples[r'ltv_mpc_rejected_total{reason="depth \"m\"\n"}'] == 2
+    assert samples["ltv_mpc_clock_error_seconds"] == 0.0009
+    assert samples['ltv_mpc_authority{authority="controller"}'] == 1
+    assert samples['ltv_mpc_authority{authority="manual"}'] == 0
+    assert samples['ltv_mpc_health{health="nominal"}'] == 1
+    assert "ltv_mpc_progress_ratio" not in samples
+    named = {line.split()[2] for line in body.splitlines() if line.startswith("# TYPE")}
+    assert named == {name.partition("{")[0] for name in samples}
+    metrics.show(msgspec.structs.replace(STATUS, clock_error_ns=None))
+    assert "clock_error" not in asked(free_port)[1]
+    metrics.show(msgspec.structs.replace(STATUS, source="gnss", source_epoch=5, rejected_epoch=6))
+    body = asked(free_port)[1]
+    assert 'ltv_mpc_source{epoch="5",name="gnss"} 1.0' in body
+    assert 'ltv_mpc_source{epoch="6",name="gnss"} 0.0' in body
+
+
 def test_the_status_names_the_sources_and_shows_the_error_of_the_one_in_use(node: ControllerNode) -> None:
     report = ControllerStatusReporter(node)
     for k in range(12):
@@ -195,3 +239,19 @@ def test_the_status_names_the_sources_and_shows_the_error_of_the_one_in_use(node
     assert (status.source, status.source_epoch) == ("default", 5)
     assert (status.rejected_epoch, status.rejected_estimates) == (6, 12)
     assert status.error_m == pytest.approx(3.0)
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "host", "code"),
+    [
+        ("GET", "/metrics", "localhost", 200),
+        ("GET", "/metrics", "evil.example", 403),
+        ("GET", "/metrics", "", 403),
+        ("GET", "/", None, 404),
+        ("GET", "/metrics/../etc/passwd", None, 404),
+        ("POST", "/metrics", None, 501),
+    ],
+)
+def test_nothing_else_is_answered_and_no_other_name_is_taken(free_port, metrics, method, path, host, code) -> None:
+    metrics.show(STATUS)
+    assert asked(free_port, method, path, host)[0] == code
