@@ -260,7 +260,7 @@ def _run_processes(
         again=_again(folder.path, folder),
     )
     config = Config(vehicle=str(folder.config("vehicle")), about=about, open_browser=open_browser, of_a_run=True)
-    sidecar = Sidecar(screen.say, folder.path / "logs", config)
+    sidecar = Sidecar(screen.say, folder.path / "logs", config, waits=not as_json)
     try:
         outcome = Supervisor(run_config, folder, screen, sidecar if page else None).run(certs)
         if outcome.summary is None:

@@ -37,7 +37,8 @@ class Button(enum.StrEnum):
     KICK = "kick"
     KILL = "kill"
     HEARTBEAT = "heartbeat"  # not a button: a page with the token sends it once a second
-    HAS_REPORT = "has report"  # not a button: a page sends it when it has its copy of the report
+    DRAWN = "drawn"  # not a button: a page sends it when it has drawn all plots once
+    HAS_REPORT = "has report"  # the same, when it has its copy of the report
 
 
 SIMULATED = frozenset((Button.PAUSE, Button.RESUME, Button.SPEED, Button.KICK, Button.KILL))

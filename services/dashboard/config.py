@@ -20,10 +20,12 @@ def missing_package() -> str:
 
 
 class View(enum.StrEnum):
-    """State of the page in all browsers."""
+    """State of the page in a browser."""
 
-    SHOWN = "shown"
-    DONE = "done"  # each of them has the report, or there is none
+    OPENED = "opened"
+    DRAWN = "drawn"
+    HAS_REPORT = "has report"
+    CLOSED = "closed"  # by the last browser
 
 
 class About(msgspec.Struct, frozen=True, kw_only=True):
@@ -46,4 +48,4 @@ class Config(msgspec.Struct, frozen=True, kw_only=True):
     about: About = About()
     of_a_run: bool = False
     """True if a run serves the page: it lowers its priority, so that it takes no time from the processes of the run. It
-    reads what is being prepared, one line each, and writes what browsers show (``View``)."""
+    reads what is being prepared, one line each, and writes what browsers do with it (``View``)."""

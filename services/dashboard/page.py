@@ -46,7 +46,7 @@ _SAFE = static_files.safe_part(
 )
 
 OnView = Callable[[View], object]
-"""Is called with what browsers show."""
+"""Is called with what browsers do with the page."""
 
 REQUEST = msgspec.json.Decoder(ButtonRequest)
 TOKEN_S = 5.0
@@ -77,6 +77,7 @@ def make(
         task.cancel()
 
     async def page(_: Request) -> Response:
+        on_view(View.OPENED)
         return HTMLResponse(index)
 
     async def file(request: Request) -> Response:
@@ -112,8 +113,12 @@ class _Commands(NamedTuple):
     on_view: OnView
 
     def look_at_readers(self) -> None:
-        """Say whether a browser shows the page that does not have the report yet."""
-        self.on_view(View.DONE if all(reader.has_report for reader in self.stream.readers) else View.SHOWN)
+        """Say so if no browser is there any more, or if each has the report."""
+        readers = self.stream.readers
+        if not readers:
+            self.on_view(View.CLOSED)
+        elif all(reader.has_report for reader in readers):
+            self.on_view(View.HAS_REPORT)
 
 
 async def _live(socket: WebSocket, commands: _Commands, about: About) -> None:
@@ -126,7 +131,6 @@ async def _live(socket: WebSocket, commands: _Commands, about: About) -> None:
     work = [_send(socket, reader, stream), _obey(socket, reader, commands)]
     if not stream.admit(reader):
         work.append(_await_token(socket, reader))
-    commands.look_at_readers()
     tasks = [asyncio.create_task(one) for one in work]
     try:
         await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
@@ -176,6 +180,10 @@ async def _reply(text: str, reader: Reader, commands: _Commands) -> ButtonReply 
     if request.button is Button.HAS_REPORT:
         reader.has_report = True
         commands.look_at_readers()
+        return None
+    if request.button is Button.DRAWN:
+        if not reader.has_report:
+            commands.on_view(View.DRAWN)
         return None
     refused = ""
     moment = feed.status()

@@ -27,7 +27,7 @@ from services.bus.session import open_session
 from services.dashboard import page
 from services.dashboard.access_guard import LOOPBACK, Token, headers, hosts
 from services.dashboard.bus_feed import BusFeed
-from services.dashboard.config import Config
+from services.dashboard.config import Config, View
 from services.reporting.static_files import report_scripts
 from services.runtime.console import Console
 from services.runtime.serve import run_until_stopped
@@ -126,8 +126,8 @@ def _give_way() -> None:
 
 def _announce(url: str, config: Config) -> None:
     _write(url)
-    if config.open_browser:
-        webbrowser.open(url)
+    if config.open_browser and webbrowser.open(url) and config.of_a_run:
+        _write(View.OPENED)  # it soon will
 
 
 def _write(line: str) -> None:

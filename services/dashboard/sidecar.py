@@ -24,15 +24,15 @@ REPORT_S = 5.0
 
 
 class Sidecar:
-    """Process of the live page. ``say`` receives its address when it is ready.
+    """Process of the live page. ``say`` receives its address when it is ready; ``waits``: the run may wait for it.
 
     Start it from the main thread: the process ends with the thread that started it.
     """
 
-    def __init__(self, say: Say, logs: Path, config: Config) -> None:
-        self._say, self._logs, self._config = say, logs, config
-        self._done = threading.Event()  # no browser waits for the report
-        self._done.set()
+    def __init__(self, say: Say, logs: Path, config: Config, *, waits: bool) -> None:
+        self._say, self._logs, self._config, self._waits = say, logs, config, waits
+        self._view: str = View.CLOSED
+        self._changed = threading.Condition()  # of the view
         self._shown = ""
         self._process: subprocess.Popen[str] | None = None
 
@@ -65,13 +65,20 @@ class Sidecar:
             self._process.stdin.flush()
 
     @property
+    def awaited(self) -> bool:
+        """True while a browser has opened the page but not drawn it."""
+        return self._waits and self._view == View.OPENED and self._process is not None and self._process.poll() is None
+
+    @property
     def pid(self) -> int | None:
         """Process identifier of the page; None before its start."""
         return None if self._process is None else self._process.pid
 
     def give_report(self) -> None:
         """Wait until each browser that shows the page has the report, which has been written."""
-        self._done.wait(REPORT_S)
+        if self._waits:
+            with self._changed:
+                self._changed.wait_for(lambda: self._view != View.DRAWN, REPORT_S)
 
     def stop(self) -> None:
         """Stop the process; kill it after ``STOP_S``."""
@@ -95,9 +102,11 @@ class Sidecar:
             if url:
                 self._say(f"live page: {url}")
             for line in output:  # that of a browser is among it
-                match line.strip():
-                    case View.SHOWN:
-                        self._done.clear()
-                    case View.DONE:
-                        self._done.set()
-        self._done.set()
+                if (word := line.strip()) in tuple(View):
+                    self._set_view(word)
+        self._set_view(View.CLOSED)
+
+    def _set_view(self, view: str) -> None:
+        with self._changed:
+            self._view = view
+            self._changed.notify_all()

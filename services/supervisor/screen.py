@@ -82,3 +82,8 @@ class LivePage(Protocol):
     def show(self, preparation: str) -> None:
         """Show what is being prepared, until the page has data."""
         ...
+
+    @property
+    def awaited(self) -> bool:
+        """True while a browser has opened the page but not drawn it: the clock then waits for it."""
+        ...

@@ -49,6 +49,8 @@ LOADING_TIMEOUT_S = 20.0
 QUICK_S = 1.0
 """Time from which a summary shows its progress."""
 SKIPPED = "the summary was skipped; `ltv-mpc report` computes it from the recording"
+DRAWING_TIMEOUT_S = 5.0
+"""Longest time for which the clock waits for the first drawing of a page that is open in a browser."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -278,6 +280,8 @@ class Supervisor:
             if row is others[1]:
                 wait_until_ready(others[0].name)  # the recorder: it records the first message of all others
                 self._summary = GrowingSummary(self._run_config, self._folder.recording)
+            if row is others[-1]:
+                self._wait_for_drawing()  # the clock starts when the last process is ready
             self._start_process(row, bus)
         for row in others:
             wait_until_ready(row.name)
@@ -285,6 +289,12 @@ class Supervisor:
 
     def _start_process(self, row: process_table.ProcessRow, bus: BusOptions) -> None:
         self.processes.start(row, process_table.config_of(row.name, self._run_config, self._folder, bus))
+
+    def _wait_for_drawing(self) -> None:
+        """Wait until the page is drawn, so that who has opened it sees the first seconds."""
+        until = time.monotonic() + DRAWING_TIMEOUT_S
+        while self._page is not None and self._page.awaited and time.monotonic() < until:
+            self._tick()
 
     # --- watching ----------------------------------------------------------------------------------------------------
 

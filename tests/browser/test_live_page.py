@@ -99,7 +99,7 @@ def test_without_the_token_the_page_is_read_only_and_it_connects_again_by_itself
 
 def test_the_live_page_shows_every_plot_and_the_state_at_the_first_look(live: Served, shown: Any) -> None:
     shows_every_plot(shown, "light")
-    assert live.views[-1] is View.SHOWN
+    until(lambda: live.views[-2:] == [View.OPENED, View.DRAWN])
     # The first look tells whether it is safe, and begins to tell whether it is on its line.
     assert bottom(shown, "#panel-status") < bottom(shown, "#panel-tracking") <= SCREEN[1]
     shown.evaluate(MANY_EVENTS)
@@ -174,7 +174,7 @@ def test_after_the_end_of_a_run_the_page_says_so_and_keeps_the_report(live, repo
     assert shown.locator("#finished a").count() == 0
     live.report.write_bytes(report.read_bytes())
     until(lambda: shown.locator("#finished a").count() == 1)
-    until(lambda: live.views[-1] is View.DONE)
+    until(lambda: live.views[-1] is View.HAS_REPORT)
     live.cut()
     until(lambda: shown.inner_text("#link") == "finished")
     shown.focus("#moment")

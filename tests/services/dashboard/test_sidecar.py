@@ -22,14 +22,14 @@ from tests.services.reporting import synthetic_run
 from tests.waiting import until
 
 
-def page_of(folder: Path) -> tuple[Sidecar, list[str]]:
+def page_of(folder: Path, *, waits: bool = True) -> tuple[Sidecar, list[str]]:
     said: list[str] = []
     (folder / "logs").mkdir()
     vehicle = folder / VEHICLE_FILE
     vehicle.parent.mkdir()
     vehicle.write_text(synthetic_run.VEHICLE)
     config = Config(vehicle=str(vehicle), about=About(report=str(folder / "report.html")), of_a_run=True)
-    return Sidecar(said.append, folder / "logs", config), said
+    return Sidecar(said.append, folder / "logs", config, waits=waits), said
 
 
 def gives_way(pid: int) -> None:
@@ -40,9 +40,10 @@ def gives_way(pid: int) -> None:
         assert group.read_text().split()[-2:] == ["nice", str(NICE)]
 
 
-def test_the_run_waits_at_its_end_until_a_page_that_is_shown_has_the_report(tmp_path, free_port):
+@pytest.mark.parametrize("waits", [True, False])
+def test_the_run_waits_for_a_page_from_opened_to_drawn_and_then_until_it_has_the_report(tmp_path, free_port, waits):
     endpoint = f"tcp/127.0.0.1:{free_port}"
-    page, said = page_of(tmp_path)
+    page, said = page_of(tmp_path, waits=waits)
     with open_session(BusOptions(listen=(endpoint,)), stop=lambda: False, say=said.append):
         page.start(BusOptions(connect=(endpoint,), namespace="a/run"))
         given = threading.Thread(target=page.give_report)
@@ -55,12 +56,16 @@ def test_the_run_waits_at_its_end_until_a_page_that_is_shown_has_the_report(tmp_
             assert len(url.fragment) >= 32
             assert page.pid is not None
             gives_way(page.pid)
+            assert not page.awaited
             urllib.request.urlopen(f"http://{host}/").close()
+            until(lambda: page.awaited is waits)
             with connect(f"ws://{host}/stream", origin=f"http://{host}", proxy=None, max_size=2**24) as stream:
                 until(lambda: "compiling: 43 %" in stream.recv(10))
+                stream.send(json.dumps({"number": 0, "token": "", "button": "drawn"}))
+                until(lambda: not page.awaited)
                 given.start()
-                given.join(0.5)
-                assert given.is_alive()
+                given.join(0.5 if waits else 60.0)
+                assert given.is_alive() is waits
                 (tmp_path / "report.html").write_text("report")
                 assert urllib.request.urlopen(f"http://{host}/report").read() == b"report"
                 stream.send(json.dumps({"number": 0, "token": "", "button": "has report"}))
@@ -70,6 +75,7 @@ def test_the_run_waits_at_its_end_until_a_page_that_is_shown_has_the_report(tmp_
             page.stop()
         page.show("starting")  # of one that has ended
         page.stop()
+        assert not page.awaited
     assert (tmp_path / "logs" / "dashboard.log").read_text() == ""
 
 

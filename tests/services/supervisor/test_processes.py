@@ -10,6 +10,7 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -20,11 +21,13 @@ import pytest
 from msgspec import structs
 
 from ltv_mpc.currents import read_prior
+from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Kill, Plan, StepRecord, Truth
 from services.bus.options import BusOptions
 from services.bus.outbox import Outbox
 from services.bus.session import open_session
 from services.bus.topics import OPERATOR
+from services.cli.app import run as cli
 from services.recording import info
 from services.recording.reader import Recording
 from services.replay import replay
@@ -67,17 +70,24 @@ class Screen:
 
 
 class Page:
-    """Live page."""
+    """Live page that a browser has opened. It is drawn ``drawn_s`` after the clock could have started."""
 
-    def __init__(self) -> None:
+    def __init__(self, drawn_s: float = 0.0) -> None:
         self.bus: list[BusOptions] = []
         self.shown: list[str] = []
+        self.asked_s: list[float] = []
+        self._drawn_s = drawn_s
 
     def start(self, bus: BusOptions) -> None:
         self.bus.append(bus)
 
     def show(self, preparation: str) -> None:
         self.shown.append(preparation)
+
+    @property
+    def awaited(self) -> bool:
+        self.asked_s.append(time.monotonic())
+        return self.asked_s[-1] - self.asked_s[0] < self._drawn_s
 
 
 class WatchedRun(NamedTuple):
@@ -129,7 +139,7 @@ def launcher(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[bytes], Path]]:
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> WatchedRun:
-    """Run with a prior of the water, and a file that is gone when the run begins.
+    """Run with a prior of the water, a file that is gone when the run begins, and an open page, for which it waits.
 
     The orphan cleanup is killed, and another process asked for in vain.
     """
@@ -139,7 +149,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> WatchedRun:
     s = run_config(8.0, f"estimator.water_prior={known}")
     run = folder.make("test", s.files, out=place / "run")
     known.unlink()
-    page = Page()
+    page = Page(drawn_s=1.0)
 
     def disturb() -> None:
         (pid,) = (pid for pid, words in children_of(os.getpid()).items() if "killpg" in words)
@@ -236,19 +246,33 @@ def test_on_an_empty_cache_nothing_is_compiled_before_the_run_says_so(tmp_path: 
         assert process.wait(PATIENCE_S) == 130
 
 
-def test_the_page_shows_what_is_prepared(whole: WatchedRun) -> None:
+def check_wait(screen: Screen, page: Page, limit_s: float) -> None:
+    """Check that the clock waited until the page was drawn, or for ``limit_s``, and then ran."""
+    waited_s = page.asked_s[-1] - page.asked_s[0]
+    assert 0.5 * limit_s < waited_s
+    assert {view.phase for view in screen.views[: len(page.asked_s)]} == {"starting"}
+
+
+def test_the_clock_waits_until_an_open_page_is_drawn(whole: WatchedRun) -> None:
+    check_wait(whole.screen, whole.page, 1.0)
     assert whole.page.shown == ["starting the processes"]
 
 
 @pytest.fixture(scope="module")
 def without_room(tmp_path_factory: pytest.TempPathFactory) -> WatchedRun:
-    """Run on a disk that takes the settings, and not a second of the recording."""
+    """Run with a page that is never drawn. The disk takes the settings, and not a second of the recording."""
     s = run_config(3.0)
     run = folder.make("test", s.files, out=tmp_path_factory.mktemp("without_room") / "run")
-    screen, page = Screen(), Page()
-    with largest_file(100_000):
+    screen, page = Screen(), Page(drawn_s=1000.0)
+    with pytest.MonkeyPatch.context() as patch, largest_file(100_000):
+        patch.setattr(supervisor, "DRAWING_TIMEOUT_S", 0.5)
         outcome = supervisor.Supervisor(s, run, screen, page).run()
     return WatchedRun(run, outcome, screen, page, children_of(os.getpid()))
+
+
+def test_the_clock_does_not_wait_for_an_open_page_for_ever(without_room: WatchedRun) -> None:
+    check_wait(without_room.screen, without_room.page, 0.5)
+    assert "diving" in {view.phase for view in without_room.screen.views}
 
 
 def test_a_run_whose_recording_found_no_room_is_not_complete(without_room: WatchedRun) -> None:
@@ -357,6 +381,19 @@ def test_a_closed_stderr_requests_a_stop(monkeypatch: pytest.MonkeyPatch) -> Non
         sys.stderr.write("told")
         until(request)
     assert not request.interrupted
+
+
+def test_with_json_the_clock_waits_for_no_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[bool] = []
+
+    def no_sidecar(*_: object, waits: bool, **__: object) -> None:
+        asked.append(waits)
+        raise ConfigError("page", "", "none here")
+
+    monkeypatch.setattr("services.dashboard.sidecar.Sidecar", no_sidecar)
+    for name, words in (("a", []), ("b", ["--json"])):
+        assert cli(["sim", "--open", *words, "--out", str(tmp_path / name)]) == 2
+    assert asked == [True, False]
 
 
 def test_a_killed_supervisor_leaves_no_orphan_and_the_recorder_completes_its_file(launcher) -> None:
