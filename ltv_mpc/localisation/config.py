@@ -10,8 +10,11 @@ from msgspec import Meta
 from ltv_mpc import config
 from ltv_mpc.errors import ConfigError
 
-MAX_CELLS = 220
-"""Each cell adds two states to the filter. With more, a checkpoint of its covariance would exceed a message."""
+MAX_CELLS = 500
+"""Each cell adds two states to the filter."""
+
+MAX_SAVED_CELLS = 220
+"""With more, the covariance would exceed a message: no state is saved, and a restarted filter begins anew."""
 
 
 class EstimatorConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -40,6 +43,11 @@ class EstimatorConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
         path : of the file, with a suffix or a slash.
         """
         return config.load(path, cls, what="estimator settings", package=None).checked(path)
+
+    @property
+    def is_saved(self) -> bool:
+        """True if the state of the filter fits a message."""
+        return self.deepest_m / self.cell_m <= MAX_SAVED_CELLS
 
     def checked(self, source: str, table: str = "") -> EstimatorConfig:
         """Return these settings if their grid of depths has neither too many cells nor none. Raises ``ConfigError``.

@@ -227,6 +227,7 @@ class Estimator:
             self._out.append(self._supervision.report(self.account))
         past = self._supervision.reinitialisation
         # A restart must not continue from an inconsistent filter.
-        if self._checkpoints.is_due(belief) and not past.is_inconsistent and is_usable(belief):
+        saves = self._config.is_saved and not past.is_inconsistent and is_usable(belief)
+        if saves and self._checkpoints.is_due(belief):
             self._checkpoints.advance(belief)
             self._out.append(checkpoint_of(filter_, self._settings, past.count))

@@ -78,7 +78,7 @@ def test_an_assignment_that_fits_no_key_says_what_would(assignment: str, says: s
         (["water.kind=measured"], '[water] file = "": must name a currents CSV'),
         (["water.file=a.csv"], 'is not read where kind = "markov"'),
         (["water.cell_m=100"], "[water] cell_m = 100.0: must be <= deepest_m = 70"),
-        (["estimator.deepest_m=1760"], "[estimator] cell_m = 1.0: must be <= deepest_m = 1760, and at least 8: at"),
+        (["estimator.deepest_m=2000"], "[estimator] cell_m = 1.0: must be <= deepest_m = 2000, and at least 4: at"),
         (["water.bottom_m=12", "plant.depth_m=12"], "[water] bottom_m = 12.0: must be deeper than the start of the"),
         (["water.feature.step_mps=0.2"], '[water.feature] kind = "none": must be "front", "step", "waves" or "tide"'),
         (["water.surface_waves.height_m=1", "water.surface_waves.period_s=2"], "[water.surface_waves] height_m ="),

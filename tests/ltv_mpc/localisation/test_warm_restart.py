@@ -48,6 +48,12 @@ def test_a_checkpoint_is_published_first_every_five_seconds_and_at_submergence(w
     assert list(checkpoints) == sorted({min(whole.estimates), under, *regular})
 
 
+def test_a_state_that_no_message_holds_is_not_published():
+    run = Run(dive(PAPER, 4, duration_s=6.0).messages, PAPER, replace(CONFIG, deepest_m=221.0))
+    assert run.estimates
+    assert run.of(EstimatorState) == []
+
+
 def test_a_checkpoint_restores_the_filters_belief_to_the_bit_over_the_wire_too():
     filter_ = Run(the_dive().messages, config=CONFIG).estimator.filter
     filter_.belief.x[2] += 15.0
