@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import subprocess
 import sys
 import time
@@ -9,7 +10,6 @@ from contextlib import suppress
 from pathlib import Path
 from typing import IO
 
-from services.supervisor.loopback import is_listening
 from services.supervisor.parent_death import OrphanCleanup
 
 Process = subprocess.Popen[bytes]
@@ -62,9 +62,12 @@ def end(process: Process, within_s: float) -> int | None:
 
 
 def await_router(endpoint: str) -> None:
-    """Return when a router listens at the endpoint, or after ``ROUTER_S``."""
+    """Return when a router listens at the endpoint PROTOCOL/HOST:PORT, or after ``ROUTER_S``."""
+    host, _, port = endpoint.partition("/")[2].rpartition(":")
     until = time.monotonic() + ROUTER_S
-    while not is_listening(endpoint) and time.monotonic() < until:
+    while time.monotonic() < until:
+        with suppress(OSError):
+            return socket.create_connection((host, int(port)), timeout=0.2).close()
         time.sleep(0.02)
 
 

@@ -14,7 +14,7 @@ MAX_CELLS = 500
 """Each cell adds two states to the filter."""
 
 MAX_SAVED_CELLS = 220
-"""With more, the covariance would exceed a message: no state is saved, and a restarted filter begins anew."""
+"""With more, the covariance would exceed a message: no state is saved, and a restarted filter begins again."""
 
 
 class EstimatorConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
