@@ -125,6 +125,7 @@ class ErrorStateFilter:
 
     @angular_rate_radps.setter
     def angular_rate_radps(self, measured: Triple) -> None:
+        """Set the rate before a gap."""
         self._state.angular_rate_radps = measured
 
     @property
