@@ -43,6 +43,24 @@ def grid_depths(deepest_m: float, cell_m: float) -> Array:
     return cell_m * np.arange(math.ceil(deepest_m / cell_m - 1e-9) + 1, dtype=np.float64)
 
 
+def check_cells(deepest_m: float, cell_m: float, most: int, source: str, field: str) -> None:
+    """Check that a grid of depths has at least one cell and not too many.
+
+    Parameters
+    ----------
+    deepest_m, cell_m : largest depth and cell size (m).
+    most : largest number of cells.
+    source, field : of the cell size, for the error.
+
+    Raises
+    ------
+    ConfigError : it has not.
+    """
+    if not 1 <= deepest_m / cell_m <= most:
+        problem = f"must be <= deepest_m = {deepest_m:g}, and at least {deepest_m / most:g}: at most {most} cells"
+        raise ConfigError(source, field, problem, value=cell_m)
+
+
 class WaterPrior(CurrentProfile, frozen=True, kw_only=True, eq=False):
     """Prior knowledge of the current before a dive.
 

@@ -15,8 +15,9 @@ from msgspec import Meta
 
 from ltv_mpc import config, settings_schema
 from ltv_mpc.control.config import ControllerConfig
+from ltv_mpc.currents import check_cells
 from ltv_mpc.errors import ConfigError, format_value
-from ltv_mpc.localisation.config import EstimatorConfig
+from ltv_mpc.localisation.config import MAX_CELLS, EstimatorConfig
 
 MAX_WATER_CELLS = 20_000
 
@@ -189,7 +190,7 @@ class Scenario(_Table, frozen=True, kw_only=True):
 
 def checked(scenario: Scenario, *, source: str) -> Scenario:
     """Return the scenario after the checks that involve more than one field. Raises ``ConfigError``."""
-    water = scenario.water
+    water, estimator = scenario.water, scenario.estimator
     if water.kind == "measured" and not water.file:
         raise ConfigError(source, "[water] file", 'must name a currents CSV where kind = "measured"', value="")
     if water.kind == "markov" and water.file:
@@ -209,11 +210,8 @@ def checked(scenario: Scenario, *, source: str) -> Scenario:
     if plant.depth_m >= SURFACED_M and max(plant.wind.force_N, plant.wind.gust_N) > 0.0:
         problem = f"must be less than {SURFACED_M} where [plant.wind] has a force: deeper, no wind acts"
         raise ConfigError(source, "[plant] depth_m", problem, value=plant.depth_m)
-    if not 1 <= water.deepest_m / water.cell_m <= MAX_WATER_CELLS:
-        at_least = f"{water.deepest_m / MAX_WATER_CELLS:g}: at most {MAX_WATER_CELLS} cells"
-        problem = f"must be <= deepest_m = {water.deepest_m:g}, and at least {at_least}"
-        raise ConfigError(source, "[water] cell_m", problem, value=water.cell_m)
-    scenario.estimator.checked(source, "[estimator] ")
+    check_cells(water.deepest_m, water.cell_m, MAX_WATER_CELLS, source, "[water] cell_m")
+    check_cells(estimator.deepest_m, estimator.cell_m, MAX_CELLS, source, "[estimator] cell_m")
     return scenario
 
 

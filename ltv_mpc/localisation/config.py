@@ -8,7 +8,7 @@ import msgspec
 from msgspec import Meta
 
 from ltv_mpc import config
-from ltv_mpc.errors import ConfigError
+from ltv_mpc.currents import check_cells
 
 MAX_CELLS = 500
 """Each cell adds two states to the filter."""
@@ -42,23 +42,11 @@ class EstimatorConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
         ----------
         path : of the file, with a suffix or a slash.
         """
-        return config.load(path, cls, what="estimator settings", package=None).checked(path)
+        settings = config.load(path, cls, what="estimator settings", package=None)
+        check_cells(settings.deepest_m, settings.cell_m, MAX_CELLS, path, "cell_m")
+        return settings
 
     @property
     def is_saved(self) -> bool:
         """True if the state of the filter fits a message."""
         return self.deepest_m / self.cell_m <= MAX_SAVED_CELLS
-
-    def checked(self, source: str, table: str = "") -> EstimatorConfig:
-        """Return these settings if their grid of depths has neither too many cells nor none. Raises ``ConfigError``.
-
-        Parameters
-        ----------
-        source : file and ``table`` of these settings, for the error.
-        table : such as "[estimator] ", with a space after it.
-        """
-        if not 1 <= self.deepest_m / self.cell_m <= MAX_CELLS:
-            at_least = f"{self.deepest_m / MAX_CELLS:g}: at most {MAX_CELLS} cells"
-            problem = f"must be <= deepest_m = {self.deepest_m:g}, and at least {at_least}"
-            raise ConfigError(source, f"{table}cell_m", problem, value=self.cell_m)
-        return self
