@@ -78,8 +78,8 @@ class WarmRestart:
         if self.waiting_for:
             raise RuntimeError(f"cannot restart: waiting for {self.waiting_for}")
         belief, turn_radps = self._at_estimate()
-        filter_ = ErrorStateFilter(self._sensor_config, self._config, belief)
-        filter_.angular_rate_radps = 0.0, 0.0, turn_radps + float(belief.x[GYRO_BIAS.stop - 1])
+        rate = 0.0, 0.0, turn_radps + float(belief.x[GYRO_BIAS.stop - 1])
+        filter_ = ErrorStateFilter(self._sensor_config, self._config, belief, angular_rate_radps=rate)
         for sample in samples:
             filter_.advance(sample.t_ns, sample)
         t_ns = samples[-1].t_ns

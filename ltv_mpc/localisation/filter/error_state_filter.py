@@ -60,7 +60,7 @@ class FilterState:
 
     belief: Belief
     process_noise: AdaptiveProcessNoise
-    angular_rate_radps: Triple = (0.0, 0.0, 0.0)  # last measured, FRD, bias included
+    angular_rate_radps: Triple  # last measured, FRD, bias included
     Phi: Array = field(default_factory=lambda: np.eye(CORE))  # core transition since the covariance was propagated
     Q: Array = field(default_factory=lambda: np.zeros((CORE, CORE)))  # process noise over the same time
     pending_ns: int = 0  # time since the covariance was propagated
@@ -89,10 +89,17 @@ class ErrorStateFilter:
     config : settings of the estimator.
     belief : first estimate.
     adapts_from_ns : the process noise of the water adapts from this time on; None: from the time of ``belief``.
+    angular_rate_radps : angular rate (FRD, bias included) before the first sample, if a gap comes before that.
     """
 
     def __init__(
-        self, sensor_config: SensorConfig, config: EstimatorConfig, belief: Belief, *, adapts_from_ns: int | None = None
+        self,
+        sensor_config: SensorConfig,
+        config: EstimatorConfig,
+        belief: Belief,
+        *,
+        adapts_from_ns: int | None = None,
+        angular_rate_radps: Triple = (0.0, 0.0, 0.0),
     ) -> None:
         self.account: Counter[str] = Counter()  # scalar measurements by "<sensor>.<outcome>"
         self.observers: list[Callable[[Innovations], None]] = []  # called once for every message
@@ -104,7 +111,8 @@ class ErrorStateFilter:
         self.earth_rate_radps = earth_rate(sensor_config.latitude_rad) if senses else np.zeros(3)
         """Earth rate that the gyros sense (rad/s, NED), (3,); zero if they do not sense it."""
         from_ns = belief.t_ns if adapts_from_ns is None else adapts_from_ns
-        self._state = FilterState(belief=belief, process_noise=AdaptiveProcessNoise(config.cell_m, from_ns))
+        process_noise = AdaptiveProcessNoise(config.cell_m, from_ns)
+        self._state = FilterState(belief=belief, process_noise=process_noise, angular_rate_radps=angular_rate_radps)
         if config.adapts_to_water:
             belief.signatures = FailureSignatures.of(belief.layout.size, COLUMNS)
 
@@ -120,13 +128,8 @@ class ErrorStateFilter:
 
     @property
     def angular_rate_radps(self) -> Triple:
-        """Angular rate measured last (rad/s, FRD), bias included; a restart sets that of the last estimate."""
+        """Angular rate measured last (rad/s, FRD), bias included."""
         return self._state.angular_rate_radps
-
-    @angular_rate_radps.setter
-    def angular_rate_radps(self, measured: Triple) -> None:
-        """Set the rate before a gap."""
-        self._state.angular_rate_radps = measured
 
     @property
     def angular_rate_variance(self) -> float:
