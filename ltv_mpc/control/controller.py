@@ -246,19 +246,19 @@ class Controller:
             is none, or that no thruster delivers, is not used; the health says so.
         t_ns : now, vehicle time (ns): a report of later is one of now. None: not known.
         """
-        if (usable := self.actuator_check.usable(applied)) is None:
+        report = self.actuator_check.usable(applied)
+        if report is None:
             return
-        applied = usable
-        if t_ns is not None and applied.t_ns > t_ns:
-            applied = msgspec.structs.replace(applied, t_ns=t_ns)
-        self._delay.add_receipt(applied)
-        self.prediction.add_report(applied)
+        if t_ns is not None and report.t_ns > t_ns:
+            report = msgspec.structs.replace(report, t_ns=t_ns)
+        self._delay.add_receipt(report)
+        self.prediction.add_report(report)
         disagreed = self.actuator_check.disagrees
-        self.actuator_check.add(applied)
+        self.actuator_check.add(report)
         if self.actuator_check.disagrees and not disagreed:
-            self.observer.take_back(self.actuator_check.agreed_ns or applied.t_ns)
-        self.vehicle_file_check.fit.add_thrust(applied.t_ns, applied.thrust_N)
-        self.prediction.sent.correct(applied.t_ns, applied.command_N)
+            self.observer.take_back(self.actuator_check.agreed_ns or report.t_ns)
+        self.vehicle_file_check.fit.add_thrust(report.t_ns, report.thrust_N)
+        self.prediction.sent.correct(report.t_ns, report.command_N)
 
     def add_timing(self, timing: CycleTiming) -> None:
         """Add the computing time of the last cycle: without receipts of plans the expected delay follows from it.

@@ -27,7 +27,7 @@ def load_prior(settings: EstimatorConfig) -> WaterPrior | None:
 class EstimatedCurrent:
     """Current over all depths, collected from the estimates of a run in their order.
 
-    An estimate's profile may be a window of depths that follows the vehicle. For a depth that has left the window the
+    The profile of an estimator other than this project's may move with the vehicle. For a depth that has left it the
     last estimate counts. The error that all depths share is not part of an estimate. But the vehicle measures the
     water relative to itself, so the error of its velocity is in every cell that it sees, and has been since the last
     satellite fix. So sd_common is the standard deviation of the velocity, the larger one of north and east. It is at

@@ -299,7 +299,7 @@ def prepare(p: Problem, places: Places, work: Sweep, duals: Array, at: Arrays) -
             over = max(work.g.flat[i] - p.high.flat[i], p.low.flat[i] - work.g.flat[i], 0.0)
             at.x[excess] = over if at.y[row] > -NOT_EXCEEDED else 0.0
     size = dual_scale(at.numbers.q[: N * p.h.shape[1]])
-    return (size if rescale(places, at, size) else NOT_FINITE), largest
+    return (size if scale_rows(places, at, size) else NOT_FINITE), largest
 
 
 @jit
@@ -320,7 +320,7 @@ def dual_scale(q: Array) -> float:
 
 
 @jit
-def rescale(places: Places, at: Arrays, size: float) -> bool:
+def scale_rows(places: Places, at: Arrays, size: float) -> bool:
     """Scale the rows of the problem and of its dual, by the limits that the dual shows to be active.
 
     Parameters
